@@ -140,7 +140,7 @@ class Group:
 
         def __getattr__(self, name: str) -> Any: ...
 
-    def __init_subclass__(cls, **parts: _Declared) -> None:
+    def __init_subclass__(cls, /, **parts: _Declared) -> None:
         declared: dict[str, Any] = {}
         for name, part in parts.items():
             if isinstance(getattr(cls, name, None), property | FunctionType):
@@ -202,7 +202,7 @@ def _parts(group: type[Any]) -> dict[str, _Part | None]:
 
 
 def make_group(
-    name: str, members: Mapping[str, Quantity], *bases: type[Group], **parts: _Declared
+    name: str, members: Mapping[str, Quantity], /, *bases: type[Group], **parts: _Declared
 ) -> type[Any]:
     """A group class with the members of its bases, followed by its groups and these."""
     return type(name, bases or (Group,), {"__module__": __name__, **members}, **parts)

@@ -7,7 +7,7 @@ import os
 import re
 import sys
 from contextlib import redirect_stdout, suppress
-from io import TextIOWrapper
+from io import StringIO, TextIOWrapper
 from typing import Any, NoReturn, TextIO
 
 from orchestrator.base.errors import Mistakes, Problem, Stopped, one_line
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
             stream.reconfigure(errors="replace")  # a console that lacks the sign of a unit shows another one
     received = list[int]()
     try:
-        with signals_interrupt(received), redirect_stdout(PrintableStream(sys.stdout)):
+        with signals_interrupt(received), redirect_stdout(PrintableStream(sys.stdout or StringIO())):
             status = _with_notes(arguments)
     except KeyboardInterrupt as interrupt:
         return _stopped(received, str(interrupt))

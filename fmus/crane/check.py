@@ -26,20 +26,28 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.optimize import brentq
 
 from fmus.components.cylinder import areas, volumes
 from fmus.contract import Subsystem, nested, quantities, symbolic
-from fmus.crane.description import DEFAULT, DRIVES, INERTIAS, CraneDescription, JointDescription
+from fmus.crane.description import (
+    DEFAULT,
+    DRIVES,
+    INERTIAS,
+    LARGEST_LENGTH,
+    TABLES,
+    CraneDescription,
+    JointDescription,
+)
 from fmus.crane.manipulator import CraneManipulator, manipulator
-from fmus.parameters import Values, values
+from fmus.parameters import Number, Values, values
 from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import Array
 from orchestrator.pages.plotting import new_figure, style_axes
 
 STEP = {"revolute": math.radians(0.25), "prismatic": 2e-3}  # rad, m: of the search for the ends of a range
-FARTHEST = {"revolute": 2 * math.pi, "prismatic": 50.0}
-HALVINGS = 40  # of STEP, to the end of a range
+FARTHEST = {"revolute": 2 * math.pi, "prismatic": 1.1 * LARGEST_LENGTH}
 DENT = 1e-3  # m: depth of the tip in the ground at the start, of a rounded height
 LEAST_LEVER = 0.02  # m: a smaller one is near zero
 SMALL_LEVER = 0.25  # of the largest one: below it a joint may run over the dead point beyond an end stop
@@ -49,10 +57,9 @@ CANDIDATES, STARTS, APART, ROUNDS, CLOSER = 3000, 10, 2, 20, 0.7
 SAME = 1e-6  # of a reach
 CELL = 0.2  # m, of the drawing
 SHARES = (0.4, 0.7, 1.0)  # of the largest reach, for which loads are printed
-
-
 SUPPLIES = {"lumped": "ideal", "compensated": "load_sensing"}  # of the drives whose speeds are told
-Speeds: TypeAlias = tuple[float, float, float]  # piston out and in [rad/s or m/s], oil in a hose [m/s]
+# fidelity -> speeds with the piston out and in [rad/s or m/s], and of the oil in a hose [m/s]
+Speeds: TypeAlias = Mapping[str, tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
@@ -177,8 +184,13 @@ def _passing(poses: Array, values: Array, reach: float) -> tuple[Array, Array]:
 def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> list[AxisCheck]:
     """All axes; a Problem with a line for each mistake.
 
-    start   `outputs_at_start` of its manipulator, if they are known
+    start   `outputs_at_start` of its manipulator, if they are known; else names of joints are looked at, too
     """
+    from fmus.crane.machine import taken
+
+    used = taken() if start is None else {}
+    if wrong := [(j.name, used[j.name]) for j in crane.joints if j.name in used]:
+        raise Mistakes([f"{crane.file}: [{n}] expected another name of the joint: {why}" for n, why in wrong])
     sub = manipulator(crane)
     of, v = functions(sub), values(sub)
     load = crane.numbers["payload"]["payload_mass"].value
@@ -220,10 +232,7 @@ def _axis(
     v: Values,
     start: Mapping[str, float],
 ) -> AxisCheck:
-    pressure, modulus = (
-        crane.numbers["supply"]["pressure_setting"].value,
-        crane.numbers["oil"]["bulk_modulus"],
-    )
+    pressure = crane.numbers["supply"]["pressure_setting"].value
     hose = math.pi / 4 * joint["hose_bore"] ** 2 * joint["hose_length"]
     if joint.drive == "motor":
         low, high, levers, lever = -math.inf, math.inf, (1.0, 1.0), 1.0
@@ -236,14 +245,14 @@ def _axis(
         sizes = volumes(position, joint["stroke"], head, rod, joint["dead_volume"])
         effort, larger = "force", "a larger bore, a larger lever"
     holds = start[f"{joint.name}_holding_{effort}"]
-    holding = holds / head if holds > 0 else -holds / rod
+    holding = max(holds / head, -holds / rod)
     if holding > pressure:
         raise Problem(
             f"holds the arm at the start with {holding / 1e5:.0f} bar, expected at most the supply's "
             f"{pressure / 1e5:.0f} bar: {larger}, or another start pose"
         )
-    of_head, of_rod = ((x + hose) / modulus.value for x in sizes)
-    inertia = _inertia(of, joint, v)
+    modulus, inertia = crane.numbers["oil"]["bulk_modulus"].value, _inertia(of, joint, v)
+    of_head, of_rod = ((x + hose) / modulus for x in sizes)
     mode = math.sqrt((head**2 / of_head + rod**2 / of_rod) * lever**2 / inertia) / (2 * math.pi)
     forces = (pressure * head, pressure * rod)
     return AxisCheck(joint, low, high, levers, *forces, holding, lever, inertia, mode)
@@ -350,44 +359,27 @@ def _range(
                     f"cylinder cannot move the joint through {scale * q:.4g} {unit}"
                 )
             levers.append(abs(float(arm)))
-        ends.append(_end(function, float(q) - sign * step, float(q), joint["stroke"]))
+        end = 0.0 if x < 0 else joint["stroke"]
+        ends.append(brentq(lambda q, end=end: float(function(q)[0]) - end, joint.start.value, q, xtol=1e-12))
         levers.append(abs(float(function(ends[-1])[1])))
     return min(ends), max(ends), (min(levers), max(levers))
 
 
-def _end(function: ca.Function, inside: float, outside: float, stroke: float) -> float:
-    """The coordinate at the end of the stroke, between two of which one is within it."""
-    for _ in range(HALVINGS):
-        between = (inside + outside) / 2
-        if 0 <= function(between)[0] <= stroke:
-            inside = between
-        else:
-            outside = between
-    return inside
-
-
 def table(
-    crane: CraneDescription,
-    found: Sequence[AxisCheck],
-    loads: Capacity,
-    speeds: Mapping[str, Mapping[str, Speeds]],
+    crane: CraneDescription, found: Sequence[AxisCheck], loads: Capacity, speeds: Mapping[str, Speeds]
 ) -> str:
-    """The axes, loads and the data sheet as text for a terminal; speeds by joint and fidelity, or none."""
+    """The axes, loads and the data sheet as text for a terminal; speeds by joint, or none."""
     moving = ("speed out/in", "compensated", "oil") if speeds else ()
     head = ("joint", "drive", "start", "range", "lever", "push", "pull", "holds with", *moving, "mode")
     pressure = crane.numbers["supply"]["pressure_setting"].value
     title = f"{crane.title}: {len(crane.joints)} joints, {len(found)} driven, {pressure / 1e5:.0f} bar"
-    lines = [
-        title,
-        *TextTable(head, [_row(a, speeds.get(a.joint.name)) for a in found]).lines(),
-        "",
-        *_loads(found, loads),
-    ]
+    axes = TextTable(head, [_row(a, speeds.get(a.joint.name)) for a in found])
+    lines = [title, *axes.lines(), "", *_loads(found, loads)]
     if crane.loads or any(crane.datasheet.values()):
-        rows = [
-            [text, _number(told), *(("no pose", "") if own is None else (_number(own), _off(own, told)))]
-            for text, told, own in _compared(crane, found, loads)
-        ]
+        rows = list[list[str]]()
+        for text, told, own in _compared(crane, found, loads):
+            off = f"{100 * (own / told - 1):+.1f} %" if own is not None and told else ""
+            rows.append([text, f"{told:.4g}", "no pose" if own is None else f"{own:.4g}", off])
         lines += ["", *TextTable(("data sheet", "says", "computed", "off by"), rows).lines()]
     lines += [f"warning: {crane.file}: {text}" for text in _doubts(crane, found)]
     lines += [f"assumed: {text}" for text in _assumed(crane)]
@@ -412,23 +404,27 @@ def _doubts(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str
 
 
 def _assumed(crane: CraneDescription) -> Iterator[str]:
-    """Numbers that the description does not have, by joint."""
+    """Numbers that the description does not have: of joints and tables, and of the paper's machine."""
+    from fmus.crane.machine import borrowed
+
     keys = {
         n: f"{table}.{key}" for table, rules in DRIVES.items() for key, r in rules.items() for n in r.names
     }
     for j in crane.driven:
         own = [(keys[n], x) for n, x in j.numbers.items() if n in keys and x.note == DEFAULT and x.value]
         own = [(key, x) for key, x in own if key != "hydraulics.drop"]
-        if own:
-            yield f"[{j.name}] " + ", ".join(f"{key} {x.value:.4g} {x.unit}" for key, x in own)
+        yield from _listed(f"[{j.name}]", own)
+    for table, numbers in crane.numbers.items():
+        own = [(key, numbers[n]) for key, r in TABLES[table].items() for n in r.names if n in numbers]
+        yield from _listed(f"[{table}]", [(key, x) for key, x in own if x.note == DEFAULT and x.value])
+    for part, some in borrowed(crane).items() if crane.driven else ():
+        yield from _listed(f"{part}, as of the paper's machine:", [*some.items()])
 
 
-def _number(x: float) -> str:
-    return f"{x:.4g}"
-
-
-def _off(own: float, told: float) -> str:
-    return f"{100 * (own / told - 1):+.1f} %" if told else ""
+def _listed(where: str, numbers: Sequence[tuple[str, Number]]) -> Iterator[str]:
+    if numbers:
+        texts = (f"{key} {x.value:.4g} {x.unit}".removesuffix(" 1") for key, x in numbers)
+        yield f"{where} {', '.join(texts)}"
 
 
 def _loads(found: Sequence[AxisCheck], loads: Capacity) -> Iterator[str]:
@@ -491,24 +487,22 @@ def _cells(loads: Capacity) -> tuple[Array, tuple[Array, Array]]:
     return np.where(cells < 0, np.nan, cells), (ends[0], ends[1])
 
 
-def _row(a: AxisCheck, speeds: Mapping[str, Speeds] | None) -> list[str]:
+def _row(a: AxisCheck, speeds: Speeds | None) -> list[str]:
     revolute = a.joint.kind == "revolute"
-    unit, scale = ("deg", 180 / math.pi) if revolute else ("m", 1.0)
+    unit, scale, digits = ("deg", 180 / math.pi, 1) if revolute else ("m", 1.0, 2)
     force, lever = (
         ("kN.m", "1") if a.joint.drive == "motor" else ("kN", f"{a.levers[0]:.3f} to {a.levers[1]:.3f} m")
     )
-    low, high = (round(scale * x, 1) + 0.0 for x in (a.low, a.high))  # no -0.0
-    ends = f"{low:.1f} to {high:.1f} {unit}" if math.isfinite(low) else "no end"
+    low, high = (round(scale * x, digits) + 0.0 for x in (a.low, a.high))  # no -0.0
+    ends = f"{low:.{digits}f} to {high:.{digits}f} {unit}" if math.isfinite(low) else "no end"
     moving = list[str]()
     if speeds:
-        lumped, compensated = (
-            "/".join(f"{scale * x:.3g}" for x in speeds[v][:2]) + f" {unit}/s" for v in SUPPLIES
-        )
-        moving = [lumped, compensated, f"{speeds['lumped'][2]:.1f} m/s"]
+        moving = ["/".join(f"{scale * x:.3g}" for x in speeds[v][:2]) + f" {unit}/s" for v in SUPPLIES]
+        moving.append(f"{speeds['lumped'][2]:.1f} m/s")
     return [
         a.joint.name,
         a.joint.drive,
-        f"{scale * a.joint.start.value:.1f} {unit}",
+        f"{scale * a.joint.start.value:.{digits}f} {unit}",
         ends,
         lever,
         *(f"{x / 1e3:.3g} {force}" for x in (a.push, a.pull)),

@@ -273,10 +273,7 @@ def gains_of(crane: CraneDescription, arm: CraneArm, pose: Mapping[str, float]) 
 
 
 def _unloaded(crane: CraneDescription, joint: JointDescription) -> float:
-    """Speed of a motor [rad/s], or of a piston inwards [m/s]: a fully open valve, no load and no friction.
-
-    v = C_d A_v sqrt(2 P_s A_r/(rho (A_h^3 + A_r^3)))
-    """
+    """Speed of a motor [rad/s], or of a piston inwards [m/s]: a fully open valve, no load and no friction."""
     pressure, density = crane.numbers["supply"]["pressure_setting"], crane.numbers["oil"]["density"]
     root = values(BOOM_STICK).p["valve_discharge_coefficient"] * joint["valve_area"]
     root *= math.sqrt(2 * pressure.value / density.value)

@@ -23,7 +23,7 @@ from fmus.parameters import numbers as numbers_of
 from orchestrator.base import toml
 from orchestrator.base.errors import Mistakes, Problem, suggest
 from orchestrator.base.files import Location, write_whole
-from orchestrator.base.units import number_and_unit, parse_unit, si_unit
+from orchestrator.base.units import Unit, number_and_unit, parse_unit
 from orchestrator.data import gltf
 
 # tables of a joint by its drive
@@ -36,6 +36,7 @@ USED: Mapping[str, tuple[str, ...]] = {
 AXES = get_args(Axis)
 Assembly: TypeAlias = Literal["above", "below"]
 LARGEST_LENGTH = 100.0  # m
+MOST_JOINTS = 60  # whose equations are made in some seconds
 INERTIAS = ("xx", "yy", "zz", "xy", "xz", "yz")
 SYMMETRIC = ((0, 3, 4), (3, 1, 5), (4, 5, 2))  # place of each entry of a matrix in INERTIAS
 LARGEST_SHARE = 1 + 1e-6  # of a principal moment of inertia in the sum of the two others, with rounding
@@ -135,9 +136,7 @@ WORDS = (
 )
 TEXTS = ("title", "source", "note")
 WORD, PART = "[a-z][a-z0-9]*", "[a-z][a-z0-9_]*"
-# begins of names of signals that are not those of joints; names of other components of a machine
-RESERVED = ("radial", "vertical", "turning", "path", "tip", "stop", "crane", "reference", "supply", "tank")
-COMPONENTS = (
+COMPONENTS = (  # names of other components of a machine
     *("manipulator", "supply", "controller", "valve_actuation", "operator_input", "sensors", "diagnosis"),
 )
 OPTIONAL = ("follows",)
@@ -146,12 +145,20 @@ ONE = Number(1.0, "1", "assumed", DEFAULT)
 MEANT = {"m": ("mm", "cm"), "rad": ("deg",)}  # units of a number that is out of range without one
 TURN = 2 * math.pi
 NEW = Path(__file__).with_name("new.toml")  # a crane to begin with
-EXAMPLES = {
-    "m": ', such as "350 mm"',
-    "rad": ', such as "20 deg"',
-    "Pa": ', such as "207 bar"',
-    "m2": ', such as "40 mm2"',
+EXAMPLES = {"m": "350 mm", "rad": "20 deg", "Pa": "207 bar", "m2": "40 mm2", "m3/s": "60 L/min"}
+EXAMPLES |= {"N.m": "120 kN.m", "m3/rad": "160 cm3/rev", "N.s/m": "30 kN.s/m", "kg": "900 kg"}
+# as data sheets write units; a moment in t.m is that of a weight
+SHEETS = {
+    "Nm": "N.m",
+    "kNm": "kN.m",
+    "tm": "t.m",
+    "mt": "t.m",
+    "cc": "cm3",
+    "ccm": "cm3",
+    "U": "rev",
+    "lbs": "lb",
 }
+GRAVITY = 9.80665  # m/s2, standard
 
 
 @dataclass(frozen=True)
@@ -286,12 +293,16 @@ class _Reader:
         if isinstance(value, str):
             number, given = number_and_unit(value)
             with suppress(Problem, ValueError):
-                scale = parse_unit(given) if given else None
-                if scale and si_unit(given) == si_unit(unit) and math.isfinite(float(number)):
+                given = re.sub("(?<=[a-z])-(?=[a-z])", ".", given)  # lb-ft
+                scale = parse_unit(re.sub("[A-Za-z]+", lambda m: SHEETS.get(m[0], m[0]), given))
+                if unit == "N.m" and scale.exponents == parse_unit("kg.m").exponents:  # moment of a weight
+                    scale = Unit(parse_unit(unit).exponents, GRAVITY * scale.factor)
+                if given and scale.exponents == parse_unit(unit).exponents and math.isfinite(float(number)):
                     return float(number) * scale.factor + scale.offset
         elif toml.is_number(value):
             return float(value)
-        expected = "a number" if unit == "1" else f"a number in {unit}{EXAMPLES.get(unit, '')}"
+        example = f'"{EXAMPLES.get(unit, f"1 {unit}")}"'
+        expected = "a number" if unit == "1" else f"a number in {unit}, such as {example}"
         self.wrong(table, f"{key}: expected {expected}, got {value!r}")
         return math.nan
 
@@ -350,6 +361,8 @@ def read(path: Path, data: bytes | None = None) -> CraneDescription:
     tops = (*TEXTS, *TABLES, "start", "datasheet")
     reader.unknown("", {n: x for n, x in content.items() if n not in names}, tops)
     density = numbers["oil"]["density"].value
+    if len(names) > MOST_JOINTS:
+        raise Problem(f"{path}: expected at most {MOST_JOINTS} joints, got {len(names)}")
     joints = [_joint(reader, n, content[n], names[:k], starts, density) for k, n in enumerate(names)]
     reader.unknown("start", starts, names)
     on = reader.one_of("payload", tables["payload"], "on", names)
@@ -405,8 +418,6 @@ def _joint(
     starts: Mapping[str, Any],
     density: float,
 ) -> JointDescription:
-    if name in RESERVED:
-        reader.wrong(name, f"expected another name: signals of other parts begin with {name}_")
     if not re.fullmatch(WORD, name):
         expected = (
             f"a joint name of one word of small letters and digits: its signals are such as {name}_angle"

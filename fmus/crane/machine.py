@@ -10,11 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
+from keyword import kwlist
 from pathlib import Path
 from typing import Any
 
 from fmus import boom_stick, ports, swing
+from fmus import supply as supplies
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
 from fmus.composition import compose
@@ -22,7 +24,7 @@ from fmus.contract import Quantity, Subsystem, family, make_group, quantities
 from fmus.controller.paths import Pose
 from fmus.crane.check import outputs_at_start
 from fmus.crane.controller import controlled, controller, hanging_sway, start_pose
-from fmus.crane.description import CraneDescription, JointDescription, read
+from fmus.crane.description import NEW, CraneDescription, JointDescription, read
 from fmus.crane.manipulator import NAME, manipulator
 from fmus.crane.view import page_files
 from fmus.diagnosis import diagnosis
@@ -39,7 +41,7 @@ from fmus.faults import CYLINDER_ADDITIONS, MOTOR_ADDITIONS, faulty
 from fmus.machine.feasible import Mechanics
 from fmus.machine.machine import Connections, Machine
 from fmus.machine.path_following import TrackedMachine
-from fmus.operator_input.model import OperatorOutputs, operator
+from fmus.operator_input.model import AXES, OperatorOutputs, operator
 from fmus.package_files import SUBFOLDERS
 from fmus.parameters import Number, numbers, parameters, values
 from fmus.sensors import sensors
@@ -47,6 +49,8 @@ from fmus.supply import SUPPLY, supply
 from fmus.valve_actuation import actuation
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import VARIANTS
+from orchestrator.base.text import MODELICA
+from orchestrator.check.rules.variables import C
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.system import System
 from orchestrator.ssp.write import write_ssp
@@ -110,6 +114,22 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     arm, mechanics = functions.__self__.arm, machine.subsystems[NAME]
     found = diagnosis(arm, numbers(machine.controller)["parameters"], mechanics)
     return replace(machine, sensors=sensors(machine.measured), diagnosis=found)
+
+
+@cache
+def taken() -> dict[str, str]:
+    """Words that are no names of joints -> why: other names begin with them, or a language has them."""
+    crane = read(NEW)
+    m = crane_machine(crane, faults=True)
+    drivers = filter(None, (m.operator, m.controller, m.actuation, m.sensors, m.diagnosis))
+    subs = [*(sub for family in m.families.values() for sub in family.values()), *drivers]
+    names = [n for s in subs for g in (s.parameters, s.states, s.inputs, s.outputs) for n in quantities(g)]
+    names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))]
+    joints = {*AXES, *(j.name for j in crane.joints)}  # and the axes of the paper's machine
+    words = {n.partition("_")[0]: f"the machine has the name {n}" for n in reversed(names)}
+    for language, keywords in {"Modelica": MODELICA, "C": C, "Python": kwlist}.items():
+        words |= dict.fromkeys(keywords, f"{language} has it as a keyword")
+    return {w: why for w, why in words.items() if w not in joints}
 
 
 def with_pressures(sub: Subsystem, crane: CraneDescription) -> Subsystem:
@@ -221,6 +241,21 @@ def _sized(
         found[f"{side}_return_area"] = _derived(area, "m2", text)
         as_of = "boom_head" if held > HEAVY * pressure else "boom_rod"
         found[f"{side}_pilot_ratio"] = common[f"{as_of}_pilot_ratio"]
+    return found
+
+
+def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:
+    """Numbers of the paper's machine that supplies and drives have; those of joints without their names."""
+    known = (numbers(s) for of in (swing, boom_stick, supplies) for s in of.VARIANTS.values())
+    shipped = {x for tables in known for x in tables["parameters"].values()}
+    names, pose, found = [j.name for j in crane.driven], outputs_at_start(manipulator(crane)), {}
+    parts = {j.part: [other for other in crane.driven if other.part == j.part] for j in crane.driven}
+    for kind, subs in {
+        "supply": [with_pressures(sub, crane) for sub in supplies.VARIANTS.values()],
+        "drives": [drives(crane, n, of, pose, v) for n, of in parts.items() for v in FIDELITIES],
+    }.items():
+        own = {n.partition("_"): x for s in subs for n, x in numbers(s)["parameters"].items() if x in shipped}
+        found[kind] = {n[2] if n[0] in names else "".join(n): x for n, x in own.items() if x.value}
     return found
 
 

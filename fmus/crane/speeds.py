@@ -32,18 +32,20 @@ OPTIONS = {"reltol": 1e-5, "abstol": 1e-6, "max_num_steps": 100_000, "show_eval_
 
 def full_speeds(
     crane: CraneDescription, found: Sequence[AxisCheck], variants: Sequence[str] = tuple(SUPPLIES)
-) -> dict[str, dict[str, Speeds]]:
-    """Joint -> fidelity of its drive -> speeds; negative: against the command; NaN: no steady motion."""
-    pose, speeds = outputs_at_start(manipulator(crane)), dict[str, dict[str, Speeds]]()
-    for a in found:
-        for variant in variants:
-            fed = with_pressures(supply([a.joint.part])[SUPPLIES[variant]], crane)
-            chosen = {a.joint.part: drives(crane, a.joint.part, [a.joint], pose, variant), fed.component: fed}
-            model = join(chosen, *wiring(chosen))
-            each = (_steady(model, a, pose, sign) for sign in (1.0, -1.0))
-            (out, oil_out), (inwards, oil_inwards) = each
-            speeds.setdefault(a.joint.name, {})[variant] = (out, inwards, max(oil_out, oil_inwards))
-    return speeds
+) -> dict[str, Speeds]:
+    """Of each joint; negative: against the command; NaN: no steady motion."""
+    pose = outputs_at_start(manipulator(crane))
+    return {a.joint.name: {v: _speeds(crane, a, pose, v) for v in variants} for a in found}
+
+
+def _speeds(
+    crane: CraneDescription, a: AxisCheck, pose: Mapping[str, float], variant: str
+) -> tuple[float, float, float]:
+    fed = with_pressures(supply([a.joint.part])[SUPPLIES[variant]], crane)
+    chosen = {a.joint.part: drives(crane, a.joint.part, [a.joint], pose, variant), fed.component: fed}
+    model = join(chosen, *wiring(chosen))
+    (out, oil_out), (inwards, oil_inwards) = (_steady(model, a, pose, sign) for sign in (1.0, -1.0))
+    return out, inwards, max(oil_out, oil_inwards)
 
 
 def _steady(model: Monolith, a: AxisCheck, pose: Mapping[str, float], sign: float) -> tuple[float, float]:
@@ -59,11 +61,8 @@ def _steady(model: Monolith, a: AxisCheck, pose: Mapping[str, float], sign: floa
     own = f"{a.joint.part}.{name}_"
     torque = a.lever * (y[own + effort] - pose[f"{name}_holding_{effort}"]) - friction * w
     rates = column(model.right_hand_side(x, u, model.p), torque / a.inertia, w)
-    of, nominal = (
-        ca.Function("of", [x, w], [rates, y[own + "oil_velocity"]]),
-        np.append(model.nominal, [1, 1]),
-    )
-    z = ca.SX.sym("z", nominal.size)
+    of = ca.Function("of", [x, w], [rates, y[own + "oil_velocity"]])
+    nominal, z = np.append(model.nominal, [1, 1]), ca.SX.sym("z", len(model.states) + 2)
     ode = {"x": z, "ode": of(z[:-2] * model.nominal, z[-2])[0] / nominal}
     solver = ca.integrator("steady", "cvodes", ode, 0.0, [STEADY / 2, STEADY], OPTIONS)
     start = np.append(model.start(model.x, model.u, model.p).full()[:, 0], [0, 0])

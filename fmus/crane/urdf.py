@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,13 +20,15 @@ import numpy as np
 from lxml import etree
 
 from fmus.crane.check import AxisCheck
-from fmus.crane.description import INERTIAS, SYMMETRIC, CraneDescription, JointDescription
-from orchestrator.base.errors import Mistakes, Problem
-from orchestrator.base.files import write_whole
+from fmus.crane.description import INERTIAS, MOST_JOINTS, SYMMETRIC, CraneDescription, JointDescription
+from orchestrator.base.errors import Mistakes, Problem, one_line
+from orchestrator.base.files import Location, write_whole
+from orchestrator.base.text import first_names, grouped
 from orchestrator.data.table import Array
 
 BASE = "base"
-ALIGNED = 1e-6  # largest component of an axis across its direction
+ALIGNED, ROUNDED = 0.3, 1e-6  # deg: of an axis that is taken as x, y or z: pi/2 as 1.57, of 17 digits
+MOST_BYTES = 16_000_000
 ROUNDING = 1e-12  # of numbers that become zero
 RADIUS = 0.06  # m, of the bars that are shown
 
@@ -110,6 +113,9 @@ class _Body:
         return self.inertia + self.mass * (d @ d * np.eye(3) - np.outer(d, d))
 
 
+NOTHING = _Body(0.0, np.zeros(3), np.zeros((3, 3)))
+
+
 def imported(source: Path, target: Path) -> str:
     """Write the file of a crane from a URDF; returns what is still missing. A Problem for each mistake."""
     if target.suffix != ".toml" or target.exists():
@@ -123,24 +129,97 @@ def imported(source: Path, target: Path) -> str:
 
 def _imported(source: Path, target: Path) -> str:
     parser = etree.XMLParser(resolve_entities=False, no_network=True)
-    robot = etree.fromstring(source.read_bytes(), parser)
+    robot = etree.fromstring(Location(source).read(MOST_BYTES), parser)
     if robot.tag != "robot":
         raise Problem(f"{source}: expected the element robot, got {robot.tag}")
-    mistakes, joints = list[str](), robot.findall("joint")
-    bodies = {link.get("name", ""): _body(link) for link in robot.findall("link")}
-    children = {_of(j, "child") for j in joints}
-    roots = [name for name in bodies if name not in children]
+    links, joints = robot.findall("link"), robot.findall("joint")
+    names, below = Counter(x.get("name", "") for x in links), grouped(joints, lambda j: _of(j, "parent"))
+    under, moving = Counter(_of(j, "child") for j in joints), [j for j in joints if j.get("type") != "fixed"]
+    roots = [n for n in names if n not in under]
     if len(roots) != 1:
-        raise Problem(f"{source}: expected one link without a parent, got {', '.join(roots) or 'none'}")
-    tables = dict[str, dict[str, Any]]()
-    _walk(roots[0], "", np.eye(3), np.zeros(3), joints, bodies, tables, mistakes)
+        raise Problem(f"{source}: expected one link without a parent, got {first_names(roots) or 'none'}")
+    for expected, wrong in {
+        "one link of a name": [n for n, count in names.items() if count > 1],
+        "one joint to a link": [n for n, count in under.items() if count > 1],
+        "links that exist": sorted((under.keys() | below.keys()) - names.keys()),
+    }.items():
+        if wrong:
+            raise Problem(f"{source}: {first_names(wrong)}: expected {expected}")
+    if not 0 < len(moving) <= MOST_JOINTS:
+        raise Problem(f"{source}: expected 1 to {MOST_JOINTS} joints that move, got {len(moving)}")
+    bodies = {x.get("name", ""): _body(x) for x in links}
+    leaders = {j.get("name"): _of(j, "child") for j in joints}
+    tables, mistakes, notes = dict[str, dict[str, Any]](), list[str](), list[str]()
+    stack = [(roots[0], "", np.eye(3), np.zeros(3))]  # link, its table, its orientation and place in there
+    while stack:
+        link, carrier, turn, offset = stack.pop()
+        body = bodies.pop(link)
+        if carrier:
+            tables[carrier]["body"] += body.moved(turn, offset)
+        for joint in below.get(link, ()):
+            origin, child = joint.find("origin"), _of(joint, "child")
+            at, turned = offset + turn @ _numbers(origin, "xyz", "0 0 0"), turn @ _rotation(origin)
+            if joint.get("type") == "fixed":
+                stack.append((child, carrier, turned, at))
+                continue
+            try:
+                table, left_out = _table(joint, turned, leaders)
+            except Problem as problem:
+                mistakes.append(f"{source}: {joint.get('name')}: {problem}")
+                continue
+            if (name := _word(child)) in tables:
+                mistakes.append(f"{source}: {joint.get('name')}: expected a name of its own, got {name}")
+            tables[name] = {**table, "parent": carrier or BASE, "at": at, "left out": left_out}
+            notes += [f"note: {joint.get('name')}: left out: {text}" for text in left_out]
+            stack.append((child, name, turned, np.zeros(3)))
     if mistakes:
-        raise Mistakes([f"{source}: {text}" for text in mistakes])
+        raise Mistakes(mistakes)
+    if bodies:
+        raise Problem(f"{source}: {first_names(bodies)}: expected joints from {roots[0]} to all links")
     passive = [name for name, table in tables.items() if "follows" not in table]
     text = "".join(_lines(tables, str(robot.get("name") or source.stem)))
     write_whole(target, text.encode())
     missing = f"drive, cylinder or motor, and hydraulics of the driven ones of {', '.join(passive)}"
-    return f"{target}: {len(tables)} joints. Still missing: {missing}; [payload] at; [start]; [supply]"
+    told = f"{target}: {len(tables)} joints. Still missing: {missing}; [payload] at; [start]; [supply]"
+    return "\n".join([told, *notes])
+
+
+def _table(joint: Any, turned: Array, leaders: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
+    """The keys of a joint, whose frame has this orientation, and what has none."""
+    kind, axis = joint.get("type"), turned @ _numbers(joint.find("axis"), "xyz", "1 0 0")
+    if kind not in ("revolute", "continuous", "prismatic"):
+        raise Problem(f"expected a revolute, prismatic or fixed joint, got {kind}")
+    if not (size := float(np.linalg.norm(axis))):
+        raise Problem("expected an axis, got 0 0 0")
+    along = int(np.argmax(np.abs(axis)))
+    off = math.degrees(math.atan2(np.linalg.norm(np.delete(axis, along)), abs(axis[along])))
+    if off > ALIGNED:
+        expected = "an axis along x, y or z with all joints at 0"
+        raise Problem(f"expected {expected}, up to {ALIGNED:g} deg, got {axis / size}, {off:.3g} deg off")
+    name = ("-" if axis[along] < 0 else "") + "xyz"[along]
+    left_out = [f"the {off:.2g} deg between the axis and {name}"] if off > ROUNDED else []
+    table: dict[str, Any] = {
+        "joint": "prismatic" if kind == "prismatic" else "revolute",
+        "axis": name,
+        "body": NOTHING,
+    }
+    table["damping"] = _number(joint.find("dynamics"), "damping")
+    if (mimic := joint.find("mimic")) is not None:
+        if (leader := leaders.get(mimic.get("joint"))) is None:
+            raise Problem(f"expected mimic of a joint that exists, got {mimic.get('joint')}")
+        table["follows"] = _word(leader)
+        table["ratio"] = _number(mimic, "multiplier", 1.0)
+    for tag, n in (("mimic", "offset"), ("dynamics", "friction")):
+        if value := _number(joint.find(tag), n):
+            left_out.append(f"{tag} {n} {value:g}")
+    for tag in ("limit", "safety_controller"):
+        if (found := joint.find(tag)) is not None:
+            left_out.append(one_line(" ".join([tag, *(f"{n} {x}" for n, x in found.attrib.items())])))
+    return table, left_out
+
+
+def _word(name: str) -> str:
+    return re.sub("[^a-z0-9]", "", name.lower()) or "joint"
 
 
 def _of(joint: Any, tag: str) -> str:
@@ -148,8 +227,20 @@ def _of(joint: Any, tag: str) -> str:
     return "" if found is None else str(found.get("link", ""))
 
 
-def _numbers(element: Any, name: str, default: str) -> Array:
-    return np.array([float(x) for x in (default if element is None else element.get(name, default)).split()])
+def _numbers(element: Any, name: str, default: str, count: int = 3) -> Array:
+    text = default if element is None else element.get(name, default)
+    try:
+        found = np.array([float(x) for x in text.split()])
+    except ValueError:
+        found = np.empty(0)
+    if found.size != count or not np.isfinite(found).all():
+        place = f"line {element.sourceline}: {element.tag}"
+        raise ValueError(f"{place}: {name}: expected {count} finite numbers, got {text!r}")
+    return found
+
+
+def _number(element: Any, name: str, default: float = 0.0) -> float:
+    return float(_numbers(element, name, str(default), 1)[0])
 
 
 def _rotation(origin: Any) -> Array:
@@ -167,59 +258,11 @@ def _rotation(origin: Any) -> Array:
 def _body(link: Any) -> _Body:
     inertial = link.find("inertial")
     if inertial is None:
-        return _Body(0.0, np.zeros(3), np.zeros((3, 3)))
+        return NOTHING
     origin, inertia = inertial.find("origin"), inertial.find("inertia")
-    moments = [0.0 if inertia is None else float(inertia.get(f"i{n}", 0)) for n in INERTIAS]
-    own = np.array(moments)[np.array(SYMMETRIC)]
-    turn, mass = _rotation(origin), float(inertial.find("mass").get("value"))
+    own = np.array([_number(inertia, f"i{n}") for n in INERTIAS])[np.array(SYMMETRIC)]
+    turn, mass = _rotation(origin), _number(inertial.find("mass"), "value")
     return _Body(mass, _numbers(origin, "xyz", "0 0 0"), turn @ own @ turn.T)
-
-
-def _walk(
-    link: str,
-    carrier: str,
-    turn: Array,
-    offset: Array,
-    joints: list[Any],
-    bodies: Mapping[str, _Body],
-    tables: dict[str, dict[str, Any]],
-    mistakes: list[str],
-) -> None:
-    """Tables of the joints beyond a link.
-
-    carrier        the table that its body belongs to, "" for the base
-    turn, offset   of the frame of the link in the frame of that table
-    """
-    if carrier:
-        tables[carrier]["body"] += bodies[link].moved(turn, offset)
-    for joint in (j for j in joints if _of(j, "parent") == link):
-        origin, child, kind = joint.find("origin"), _of(joint, "child"), joint.get("type")
-        at, turned = offset + turn @ _numbers(origin, "xyz", "0 0 0"), turn @ _rotation(origin)
-        if kind == "fixed":
-            _walk(child, carrier, turned, at, joints, bodies, tables, mistakes)
-            continue
-        if kind not in ("revolute", "continuous", "prismatic"):
-            mistakes.append(f"{joint.get('name')}: expected a revolute, prismatic or fixed joint, got {kind}")
-            continue
-        name = re.sub("[^a-z0-9]", "", child.lower()) or "joint"
-        axis = turned @ _numbers(joint.find("axis"), "xyz", "1 0 0")
-        along = int(np.argmax(np.abs(axis)))
-        if name in tables or np.abs(np.delete(axis, along)).max() > ALIGNED:
-            what = "a name of its own" if name in tables else "an axis along x, y or z with all joints at 0"
-            mistakes.append(f"{joint.get('name')}: expected {what}, got {name if name in tables else axis}")
-            continue
-        mimic, dynamics = joint.find("mimic"), joint.find("dynamics")
-        tables[name] = {
-            **{"joint": "prismatic" if kind == "prismatic" else "revolute", "parent": carrier or BASE},
-            **{"axis": ("-" if axis[along] < 0 else "") + "xyz"[along], "at": at},
-            "damping": 0.0 if dynamics is None else float(dynamics.get("damping", 0)),
-            "body": _Body(0.0, np.zeros(3), np.zeros((3, 3))),
-        }
-        if mimic is not None:
-            leader = next((_of(j, "child") for j in joints if j.get("name") == mimic.get("joint")), "")
-            tables[name]["follows"] = re.sub("[^a-z0-9]", "", leader.lower())
-            tables[name]["ratio"] = float(mimic.get("multiplier", 1))
-        _walk(child, name, turned, np.zeros(3), joints, bodies, tables, mistakes)
 
 
 def _lines(tables: Mapping[str, Mapping[str, Any]], title: str) -> Iterator[str]:
@@ -233,6 +276,7 @@ def _lines(tables: Mapping[str, Mapping[str, Any]], title: str) -> Iterator[str]
         }
         entries |= {"ratio": table["ratio"]} if "ratio" in table else {}
         yield f"\n[{name}]\n"
+        yield from (f"# left out: {text}\n" for text in table["left out"])
         yield from (f'{n} = "{table[n]}"\n' for n in ("joint", "axis", "parent", "follows") if n in table)
         yield from (f"{n} = {_toml(value)}\n" for n, value in entries.items())
     yield f'\n[payload]\non = "{[*tables][-1]}"\nat = [0, 0, 0]  # the tip\n'

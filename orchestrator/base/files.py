@@ -291,7 +291,10 @@ class Location:
 
     def _open_path(self) -> IO[bytes]:
         if not os.path.isfile(self.path):  # not a device or a pipe, which may have no end
-            raise Problem(f"{self.path}: no such file")
+            other = os.path.exists(self.path) and not os.path.isdir(self.path)
+            raise Problem(
+                f"{self.path}: {'expected a file, got a device or a pipe' if other else 'no such file'}"
+            )
         try:
             return self.path.open("rb")
         except OSError as error:

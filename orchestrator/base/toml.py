@@ -105,27 +105,33 @@ class Table:
 
 def read_file(path: Path, missing: str = "no such file") -> Table:
     """A TOML file as a table; missing: the message for a file that does not exist."""
-    try:
-        return read(path, path.read_bytes())
-    except FileNotFoundError:
-        raise Problem(f"{path}: {missing}") from None
-    except OSError as error:
-        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
+    if not path.exists():
+        raise Problem(f"{path}: {missing}")
+    return read(path, Location(path).read(MAX_BYTES))
 
 
 def read(file: Path | Location, data: bytes) -> Table:
     """The content `data` of a TOML file as a table."""
     if len(data) > MAX_BYTES:
-        raise Problem(f"{file}: expected at most {MAX_BYTES >> 20} MiB of TOML, got {len(data) >> 20} MiB")
+        raise Problem(f"{file}: expected at most {MAX_BYTES >> 20} MiB of TOML, got more")
+    text = ""
     try:
         text = data.decode("utf-8-sig")
         if _LONG_KEY.search(text):
             raise RecursionError
         return Table(str(file), tomllib.loads(text))
     except ValueError as error:  # also of UTF-8, and of a whole number with thousands of digits
-        raise Problem(f"{file}: expected TOML, got {error}") from None
+        raise Problem(f"{file}: expected TOML, got {error}{_key(text, str(error))}") from None
     except RecursionError:
         raise Problem(f"{file}: expected TOML, got lists or tables that are nested too deeply") from None
+
+
+def _key(text: str, error: str) -> str:
+    """The key of a value that is there twice, of which tomllib tells the line."""
+    twice = re.search(r"^Cannot (?:overwrite|mutate) .*\(at (?:line (\d+)|end)", error)
+    lines = text.splitlines()[: int(twice[1]) if twice[1] else None] if twice else []
+    keys = (re.match(r"""[ \t]*((?:[\w.-]|"[^"]*"|'[^']*')+)[ \t]*=""", line) for line in reversed(lines))
+    return next((f": key {key[1]}" for key in keys if key), "")
 
 
 def read_dataclass(target: type[Dataclass], table: Table) -> Dataclass:

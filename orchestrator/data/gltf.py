@@ -17,6 +17,7 @@ from orchestrator.base.files import Location
 from orchestrator.data.table import Array
 
 MAX_BYTES, MAX_TRIANGLES = 5_000_000, 200_000
+MAX_PARTS, MAX_POINTS = 10_000, 6_000_000  # nodes and primitives; points, which primitives may share
 NUMBERS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC3": 3}
 TRIANGLES = 4  # mode of a primitive
@@ -68,7 +69,7 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def _meshes(document: dict[str, Any], binary: bytes) -> Iterator[Mesh]:
-    left, nodes = MAX_TRIANGLES, document["nodes"]
+    left, parts, points_left, nodes = MAX_TRIANGLES, MAX_PARTS, MAX_POINTS, document["nodes"]
     below = {k for node in nodes for k in node.get("children", ())}
     roots = [k for k in range(len(nodes)) if k not in below]
     if "scenes" in document:
@@ -78,6 +79,9 @@ def _meshes(document: dict[str, Any], binary: bytes) -> Iterator[Mesh]:
             if primitive.get("mode", TRIANGLES) != TRIANGLES:
                 raise Problem(f"{EXPECTED}, got points, lines, strips or fans")
             at = _numbers(document, binary, primitive["attributes"]["POSITION"])
+            parts, points_left = parts - 1, points_left - len(at)
+            if parts < 0 or points_left < 0:
+                raise Problem(f"{EXPECTED}, at most {MAX_PARTS} parts of {MAX_POINTS} points, got more")
             points = (at @ place[:3, :3].T + place[:3, 3]).astype("<f4")
             order = np.arange(len(points))
             if "indices" in primitive:
@@ -101,8 +105,8 @@ def _placed(
 ) -> Iterator[tuple[Array, int]]:
     """Place and number of each mesh below these nodes."""
     for number in nodes:
-        if number in seen:
-            raise ValueError("a node has two parents")
+        if number in seen or len(seen) > MAX_PARTS:
+            raise ValueError("a node has two parents, or there are too many")
         seen.add(number)
         node = document["nodes"][number]
         here = place @ _matrix(node)

@@ -20,15 +20,16 @@ from fmus.components.chain import Payload
 from fmus.contract import nested
 from fmus.crane.check import Capacity, capacity, check, lifting_moment
 from fmus.crane.check import table as text_of
-from fmus.crane.description import new, read
+from fmus.crane.description import NEW, new, read
 from fmus.crane.machine import crane_machine
 from fmus.crane.manipulator import manipulator
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator import load, run
+from orchestrator.__main__ import main
 from orchestrator.base.errors import Mistakes
 
-NEW = ("compensated", "detailed")
+DETAILED = ("compensated", "detailed")
 
 
 def at_start(crane, **parameters):
@@ -56,6 +57,65 @@ def test_a_mistake_is_told_in_one_line(tmp_path, old, by, message):
     assert told.value.lines[0].startswith(f"{path}: {message}")
 
 
+MOMENTS = "120 kNm, 120 kN m, 120000 Nm, 12.2366 t.m, 12.2366 tm, 12.2366 mt, 88507.5 ft.lbf, 88507.5 lb-ft"
+SHEETS = {  # key, and its value in SI units -> in the file of the loader, and as data sheets write it
+    ("lifting_moment", 120e3): ("[supply]", "[datasheet]\nlifting_moment = {}\n[supply]", MOMENTS),
+    ("motor_displacement", 250e-6 / (2 * np.pi)): (
+        '"1.14e-3 m3/rad"',
+        "{}",
+        "250 ccm/rev, 250 cc/U, 0.25 L/rev",
+    ),
+    ("density", 870): ('"870 kg/m3"', "{}", "870 kg m-3, 0.87 t/m3, 54.3123 lb/ft3"),
+}
+
+
+@pytest.mark.parametrize(
+    ("key", "old", "by", "text"),
+    [(key, old, by, text) for key, (old, by, texts) in SHEETS.items() for text in texts.split(", ")],
+)
+def test_units_of_data_sheets_are_read(tmp_path, key, old, by, text):
+    """In each way of writing a number; t.m is the moment of a weight."""
+    crane = read(changed(tmp_path, (old, by.format(f'"{text}"'))))
+    known = {n: x.value for n, x in (crane.joints[0].numbers | crane.numbers["oil"]).items()}
+    assert (known | dict(crane.datasheet))[key[0]] == pytest.approx(key[1], rel=1e-5)  # of their digits
+
+
+def renamed(name):
+    """The crane of `harvester crane new` with another name of its boom."""
+    text = NEW.read_text(encoding="utf-8").replace("[boom]", f"[{name}]").replace("\nboom =", f"\n{name} =")
+    return read(Path("named.toml"), text.encode())
+
+
+USED = {
+    "held": "the machine has the name held_mass",
+    "relief": "the machine has the name relief_pressure",
+    "radial": "the machine has the name radial_",
+    "burst": "the machine has the name burst_",  # of FMUs with faults
+    "grip": "the machine has the name grip",
+    "lambda": "Python has it as a keyword",
+    "restrict": "C has it as a keyword",
+    "outer": "Modelica has it as a keyword",
+}
+
+
+@pytest.mark.parametrize(("name", "reason"), USED.items())
+def test_a_name_that_is_used_otherwise_is_refused(name, reason):
+    """By the check, before the build: the beginning of a parameter or signal, a terminal, a keyword."""
+    line = problem(lambda: check(renamed(name)))
+    assert line.startswith(f"named.toml: [{name}] expected another name of the joint: {reason}")
+
+
+@shards.machine
+@pytest.mark.parametrize("name", ["cls", "name", "members", "self", "metaclass", "swing", "p", "of", "brake"])
+def test_other_names_make_a_machine(name):
+    """Also those of arguments and of members in our code."""
+    crane = renamed(name)
+    assert [a.joint.name for a in check(crane)][1] == name
+    machine = crane_machine(crane, faults=True)
+    assert f"{name}_command" in machine.inputs
+    assert machine.controller is not None
+
+
 def test_all_mistakes_are_told_at_once(tmp_path):
     """Three mistakes in three tables; the rocker is unknown, and missing."""
     path = changed(
@@ -67,6 +127,12 @@ def test_all_mistakes_are_told_at_once(tmp_path):
     assert tables == ["boom", "jib.four_bar", "jib.four_bar", "payload"]
 
 
+def test_a_crane_has_joints_in_number():
+    """Thousands of tables are refused before their equations are made."""
+    text = "".join(f"[j{k}]\n" for k in range(5000))
+    assert "expected at most 60 joints, got 5000" in problem(lambda: read(Path("a.toml"), text.encode()))
+
+
 def test_a_new_file_is_a_crane(tmp_path):
     """It is checked without a mistake, and an existing file is not overwritten."""
     path = tmp_path / "mine.toml"
@@ -75,6 +141,13 @@ def test_a_new_file_is_a_crane(tmp_path):
     assert "exists already" in problem(lambda: new(path))
     assert "got no folder" in problem(lambda: new(tmp_path / "no" / "mine.toml"))
     assert not (tmp_path / "no").exists()
+
+
+def test_a_closed_standard_output_is_no_defect(tmp_path, monkeypatch):
+    """As of `harvester ... >&-`: the command does its work."""
+    monkeypatch.setattr("sys.stdout", None)
+    assert main(["crane", "new", str(tmp_path / "mine.toml")]) == 0
+    assert (tmp_path / "mine.toml").is_file()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -122,7 +195,7 @@ def test_a_crane_on_tyres_has_its_tip(tmp_path):
 
 
 @shards.machine
-@pytest.mark.parametrize("swap", [{}, *({"drives": d, "supply": "load_sensing"} for d in NEW)], ids=str)
+@pytest.mark.parametrize("swap", [{}, *({"drives": d, "supply": "load_sensing"} for d in DETAILED)], ids=str)
 def test_the_loader_co_simulates_like_its_monolith(loader_folder, swap):
     """Jacobi at 1 ms over the strokes of all levers: within 1e-4 of the range of the monolithic solution.
 
@@ -164,6 +237,33 @@ def test_a_valve_by_its_rated_flow_passes_it(tmp_path):
     told = told_of(crane)
     assert "assumed: [boom] cylinder.dead_volume 0.0003 m3, cylinder.damping 2e+04 N.s/m" in told
     assert "hydraulics.hose 3 m" in told
+
+
+def test_all_that_a_file_does_not_say_is_listed(tmp_path):
+    """Of the paper's machine pumps, engine, valves, air; of tables the keys that are missing, no others."""
+    crane = read(changed(tmp_path, ('viscosity = "0.02 Pa.s"\n', ""), ("[supply]", "[ground]\n[supply]")))
+    told = [line for line in told_of(crane).splitlines() if line.startswith("assumed: ")]
+    assert "assumed: [oil] viscosity 0.02 Pa.s" in told
+    assert "assumed: [ground] stiffness 2e+06 N/m, damping 0.5 s/m, friction 0.6" in told
+    of = {
+        part: line for line in told for part in ("supply", "drives") if line.startswith(f"assumed: {part}, ")
+    }
+    for number in (
+        "pump_displacement 1.13e-05 m3/rad",
+        "engine_rated_torque 433 N.m",
+        "torque_limit 385 N.m",
+    ):
+        assert f", {number}" in of["supply"]
+    for number in ("air_share 0.005,", "valve_spool_frequency 8 Hz", "compensator_setting 1.2e+06 Pa"):
+        assert f", {number}" in of["drives"]
+    built = crane_machine(crane)
+    names = [n for sub in built.families["drives"].values() for n in values(sub).p]
+    # each parameter of the drives without a joint's name is of the file, derived from it, zero, or listed
+    rest = {n for n in names if n.partition("_")[0] not in ("slew", "boom", "jib", "extension")}
+    own = {"density", "viscosity", "bulk_modulus", "port_relief_pressure", "relief_pressure"}
+    own |= {"counterbalance_pressure", "counterbalance_band"}
+    zero = {n for sub in built.families["drives"].values() for n, x in values(sub).p.items() if not x}
+    assert {n for n in rest - own - zero if f" {n} " not in of["drives"]} == set()
 
 
 def test_a_payload_of_the_file_is_held_from_the_start(tmp_path):

@@ -1,6 +1,8 @@
 """Cranes as URDF: another library reads the same mechanics, and a foreign URDF becomes a crane."""
 
+import os
 from operator import attrgetter
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -17,6 +19,7 @@ from fmus.crane.manipulator import manipulator
 from fmus.crane.urdf import export, imported
 from fmus.parameters import values
 
+JOINT = """<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/></joint>"""
 FOREIGN = """<robot name="arm"><link name="world"/>
 <link name="Column 1"><inertial><origin xyz="0.1 0 0.4"/><mass value="200"/>
   <inertia ixx="10" iyy="11" izz="5" ixy="0.3" ixz="0.2" iyz="0.1"/></inertial></link>
@@ -93,7 +96,27 @@ REFUSED = {
     "j3: expected an axis along x, y or z with all joints at 0": (TURN, 'rpy="0.3 0 1'),
     "expected one link without a parent": ('<link name="world"/>', '<link name="world"/><link name="b"/>'),
     "expected a URDF: Opening and ending tag mismatch": ("<robot", "<robots"),
-    "expected a URDF: could not convert string": ('xyz="0 0 0.5"', 'xyz="0 0 a"'),
+    "expected a URDF: line 10: origin: xyz: expected 3 finite numbers, got '0 0 a'": ("0 0 0.5", "0 0 a"),
+    "expected a URDF: line 11: axis: xyz: expected 3 finite numbers, got 'nan 0 1'": (
+        '<axis xyz="0 0 1"/>',
+        '<axis xyz="nan 0 1"/>',
+    ),
+    "expected a URDF: line 2: mass: value: expected 1 finite numbers, got 'inf'": ("200", "inf"),
+    "j1: expected an axis, got 0 0 0": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>'),
+    "slide: expected one joint to a link": ("</robot>", JOINT.format("j5", "arm", "slide") + "</robot>"),
+    "arm: expected one link of a name": ("</robot>", '<link name="arm"/></robot>'),
+    "leg: expected links that exist": ("</robot>", JOINT.format("j5", "arm", "leg") + "</robot>"),
+    "b, c: expected joints from world to all links": (
+        "</robot>",
+        '<link name="b"/><link name="c"/>'
+        + JOINT.format("j5", "b", "c")
+        + JOINT.format("j6", "c", "b")
+        + "</robot>",
+    ),
+    "j4: expected mimic of a joint that exists, got j9": (
+        "</joint></robot>",
+        '<mimic joint="j9"/></joint></robot>',
+    ),
 }
 
 
@@ -103,3 +126,85 @@ def test_what_a_crane_cannot_have_is_told(tmp_path, line, change):
     source = tmp_path / "arm.urdf"
     source.write_text(FOREIGN.replace(*change), encoding="utf-8")
     assert f"{source}: {line}" in problem(lambda: imported(source, tmp_path / "arm.toml"))
+
+
+@pytest.mark.parametrize(
+    ("written", "off"), [("1.5707", "0.0055"), ("1.57", "0.046"), ("-1.5708", "0.00021")]
+)
+def test_rounded_angles_give_the_nearest_axis_and_a_note(tmp_path, written, off):
+    """With the angle that is left; joints behind it are imported, too."""
+    source, target = tmp_path / "arm.urdf", tmp_path / "arm.toml"
+    source.write_text(FOREIGN.replace(TURN, f'rpy="{written} 0 0'), encoding="utf-8")
+    told = imported(source, target).splitlines()
+    slide = "-x" if written[0] == "-" else "x"  # its frame is turned back about y behind that turn
+    assert f"note: j4: left out: the {off} deg between the axis and {slide}" in told
+    assert [j.axis for j in read(target).joints] == ["z", "y", slide]
+
+
+def test_what_a_crane_has_no_key_for_is_told_and_a_comment(tmp_path):
+    """Limits, Coulomb friction, the offset of a coupled joint."""
+    source, target = tmp_path / "arm.urdf", tmp_path / "arm.toml"
+    more = (
+        '<mimic joint="j3" multiplier="2" offset="0.3"/><dynamics damping="3" friction="40"/></joint></robot>'
+    )
+    source.write_text(FOREIGN.replace("</joint></robot>", more), encoding="utf-8")
+    told, text = imported(source, target), target.read_text(encoding="utf-8")
+    for left_out in ("mimic offset 0.3", "dynamics friction 40", "limit lower 0 upper 1 effort 1 velocity 1"):
+        assert f"note: j4: left out: {left_out}" in told
+        assert f"# left out: {left_out}\n" in text
+    slide = read(target).joints[-1]
+    assert (slide.follows, slide.ratio.value, slide["damping"]) == ("arm", 2, 3)
+
+
+def chain_of(joints):
+    """A URDF of these joints: type, parent, child."""
+    links = dict.fromkeys(x for _, *ends in joints for x in ends)
+    text = "".join(f'<link name="{n}"/>' for n in links)
+    for k, (kind, parent, child) in enumerate(joints):
+        text += JOINT.format(f"j{k}", parent, child).replace("revolute", kind)
+    return f'<robot name="r">{text}</robot>'
+
+
+BOMBS = {
+    "star": (
+        [("revolute", "a", f"b{k}") for k in range(20_000)],
+        "expected 1 to 60 joints that move, got 20000",
+    ),
+    "plates": ([("fixed", "a", f"b{k}") for k in range(20_000)], "expected 1 to 60 joints that move, got 0"),
+    "diamonds": (
+        [("fixed", f"l{k}", f"l{k + 1}") for k in range(26) for _ in "ab"],
+        "expected one joint to a link",
+    ),
+    "link": ([], "expected one link without a parent, got none"),
+    "ring": (
+        [("revolute", "a", "b"), ("revolute", "b", "a")],
+        "expected one link without a parent, got none",
+    ),
+}
+
+
+@pytest.mark.parametrize(("joints", "line"), BOMBS.values(), ids=BOMBS)
+@pytest.mark.timeout(30)  # of which it takes 1; with the square of the joints it takes minutes
+def test_a_urdf_with_too_much_is_refused_at_once(tmp_path, joints, line):
+    """Not after the square of its joints, or a power of two."""
+    source = tmp_path / "bomb.urdf"
+    source.write_text(chain_of(joints), encoding="utf-8")
+    assert line in problem(lambda: imported(source, tmp_path / "bomb.toml"))
+
+
+@pytest.mark.timeout(30)
+def test_a_long_chain_of_plates_is_one_link(tmp_path):
+    """5000 fixed joints behind a joint that moves: no limit of recursion."""
+    source, target = tmp_path / "plates.urdf", tmp_path / "plates.toml"
+    joints = [("revolute", "a", "l0"), *(("fixed", f"l{k}", f"l{k + 1}") for k in range(5000))]
+    source.write_text(chain_of(joints), encoding="utf-8")
+    assert "1 joints" in imported(source, target)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such pipes")
+def test_only_files_are_read(tmp_path):
+    """A device has no end, a pipe waits for its other end: neither is opened."""
+    os.mkfifo(tmp_path / "pipe")
+    for source in (Path("/dev/zero"), tmp_path / "pipe"):
+        for call in (lambda s=source: imported(s, tmp_path / "a.toml"), lambda s=source: read(s)):
+            assert f"{source}: expected a file, got a device or a pipe" in problem(call)

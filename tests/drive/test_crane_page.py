@@ -266,13 +266,16 @@ def test_a_damaged_mesh_is_a_problem(tmp_path: Path) -> None:
     ("key", "value", "told"),
     [
         ("nodes", [{"mesh": 0, "translation": [10**400, 0, 0]}], "a damaged one: OverflowError"),
+        ("nodes", [{"mesh": 0}] * 15_000, "at most 10000 parts of 6000000 points, got more"),
+        ("nodes", [{}] * 15_000, "too many"),
         ("materials", [{"pbrMetallicRoughness": {"baseColorFactor": ["nan", 0, 0]}}], "a colour that is no"),
         ("meshes", [{"primitives": [{"mode": 5, "attributes": {"POSITION": 0}}]}], "got points, lines"),
     ],
 )
 def test_numbers_that_are_none_are_a_problem(key: str, value: Any, told: str, tmp_path: Path) -> None:
-    """In one line: numbers that are too large or none, strips."""
-    assert told in problem(lambda: points(box(LOW, HIGH, {key: value}), tmp_path))
+    """In one line: numbers that are too large or none, strips, thousands of parts."""
+    shown = {"scenes": [{"nodes": [*range(len(value))]}]} if key == "nodes" else {}
+    assert told in problem(lambda: points(box(LOW, HIGH, {key: value} | shown), tmp_path))
 
 
 SHAPES = {  # of a link -> what is wrong with it

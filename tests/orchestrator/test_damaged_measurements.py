@@ -247,10 +247,13 @@ TOML = [
     ("signals." + ".".join("a" * 20_000) + " = 1", "nested too deeply"),
     ("\n".join(f"a{i}.{'.'.join('b' * 999)} = 1" for i in range(999)), "nested too deeply"),
     ("x = " + "9" * 5000, "expected TOML, got Exceeds the limit"),
+    ("[a]\nmass = 1\nmass = 2\n", "Cannot overwrite a value (at line 3, column 9): key mass"),
+    ('"a b" = 1\nb = ["c=d"]\n"a b" = [\n"e=f",\n]\n', '(at line 5, column 2): key "a b"'),
+    ("a.b = 1\n# a.c = 1\na.b = 2", "(at end of document): key a.b"),
     ("[signals.x]\nunit = 'm'\nfactor = " + "9" * 400, "signals.x: factor: expected a number, got 9999"),
     ("[signals.x]\nunit = " + "[" * 200 + "]" * 200, "signals.x: unit: expected a text, got [[[[["),
     ("[signals.x]\nunit = 'm'\n[file]\ncsv = 'a/b.csv'", "file: csv: expected the name of a file in"),
-    ("#" * (5 << 20), "expected at most 4 MiB of TOML, got 5 MiB"),
+    ("#" * (5 << 20), "expected at most 4 MB, got 5 MB"),
 ]
 
 
