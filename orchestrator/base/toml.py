@@ -105,12 +105,9 @@ class Table:
 
 def read_file(path: Path, missing: str = "no such file") -> Table:
     """A TOML file as a table; missing: the message for a file that does not exist."""
-    try:
-        return read(path, path.read_bytes())
-    except FileNotFoundError:
-        raise Problem(f"{path}: {missing}") from None
-    except OSError as error:
-        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
+    if not path.is_file():  # nor a device or a pipe, which may have no end
+        raise Problem(f"{path}: {missing}")
+    return read(path, Location(path).read())
 
 
 def read(file: Path | Location, data: bytes) -> Table:

@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from importlib import import_module
 from io import BytesIO
 from typing import Any, TypeAlias
 
@@ -25,12 +26,14 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
+from orchestrator.base.interrupts import time_limit
 from orchestrator.base.text import first_names
 from orchestrator.base.units import parse_unit
 from orchestrator.data.matlab import ERRORS, MAX_BYTES
 
 Array = NDArray[np.float64]
 HEAD = 512  # bytes that show the format of a file
+PATIENCE, FOR_A_BYTE = 3.0, 5e-6  # [s], [s/byte]: processor time for a file, whose blocks may be a loop
 TIME, SECOND = "time", np.timedelta64(1, "s")
 DENSE = 1.5  # periods of a clock; samples that are closer have no gap in between
 ROUNDING = 1e-6  # of times, in periods
@@ -115,9 +118,11 @@ def labview_table(file: Location, text: str) -> str:
 @contextmanager
 def channels(file: Location, kind: str) -> Iterator[dict[str, Callable[[], Samples]]]:
     """Functions that read the channels, by name: "group.name" if several groups have the name."""
-    require("logger", f"{file}: {kind} file", "asammdf" if kind == MDF else "nptdms")
+    library, open_file = ("asammdf", _mdf) if kind == MDF else ("nptdms", _tdms)
+    require("logger", f"{file}: {kind} file", library)
+    import_module(library)  # before the time counts
     try:
-        with (_mdf if kind == MDF else _tdms)(file) as found:
+        with time_limit(PATIENCE + FOR_A_BYTE * file.path.stat().st_size), open_file(file) as found:
             if found and all(name.startswith("CAN_DataFrame") for _, name, _ in found):
                 advice = "decode them with the DBC file, such as by asammdf"
                 raise Problem(f"{file}: expected signals, got frames of a CAN bus: {advice}")

@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from io import BytesIO
-from itertools import islice, pairwise, product, takewhile, zip_longest
+from itertools import islice, product, takewhile, zip_longest
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
+from orchestrator.base.processes import FLOAT64
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
 from orchestrator.base.units import factor_and_offset, is_unit
@@ -43,6 +44,7 @@ GAP_MARKS = ("", "nan", "na", "n/a", "null", "none")  # texts that loggers write
 WORDS = {"true": 1.0, "wahr": 1.0, "false": 0.0, "falsch": 0.0}
 ONE = "1"  # unit of Booleans
 CHUNK = 5000  # rows of text converted at once, or cell by cell if one of them has a gap
+MAX_LINE = 20_000_000  # characters: a million columns
 MAX_LISTED_COLUMNS = 256  # a matrix with more columns is read by rows
 LINE_BREAK = re.compile(r"\r\n?|\n")
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", r"\s+": "white space"}
@@ -354,6 +356,9 @@ class _Text:
             tell_once(f"{self.file}: line {line}: {got}; read as Windows-1252")
         if self.file.path.name.endswith(PARTIAL):  # the last row is cut if the run was killed
             text = text[: text.rfind("\n") + 1]
+        if (longest := max(end - begin for begin, end in _first_lines(text))) > MAX_LINE:
+            got = f"one of {longest / 1e6:.0f} MB"
+            raise Problem(f"{self.file}: expected lines of at most {MAX_LINE / 1e6:.0f} MB, got {got}")
         return labview_table(self.file, text)
 
     def _rows(self, lines: Sequence[str], first: int) -> dict[int, str | list[str]]:
@@ -491,13 +496,23 @@ def _count_values(text: str, start: int, delimiter: str) -> int:
     return sum(map(_is_value, (cell for row in wide for cell in row[:FIRST_CELLS]))) if names[1:] else 0
 
 
+def _first_lines(text: str) -> list[tuple[int, int]]:
+    """Begin and end of each of the first lines; one that is too long ends with the text."""
+    spans, begin = list[tuple[int, int]](), 0
+    while len(spans) <= FIRST_ROWS and (begin < len(text) or not spans):
+        match = LINE_BREAK.search(text, begin, begin + MAX_LINE)
+        spans.append((begin, match.end() if match else len(text)))
+        begin = spans[-1][1]
+    return spans
+
+
 def _lines_above(text: str) -> int:
     """The number of lines above the names, which are in the heading before the most rows of its width.
 
     Of the rows of a heading they are the one with a clock, else the one above the units, else the last.
     """
-    starts = [0, *(match.end() for match in islice(LINE_BREAK.finditer(text), FIRST_ROWS)), len(text)]
-    lines = [LINE_BREAK.split(text[a:b], maxsplit=1)[0] for a, b in pairwise(starts)]
+    starts, ends = zip(*_first_lines(text), strict=True)
+    lines = [text[a:b].rstrip("\r\n") for a, b in zip(starts, ends, strict=True)]
     best, last, end, mark = 0, 0, 0, None
     for number, delimiter in product(range(len(lines)), DELIMITERS):
         m = delimiter if len(delimiter) == 1 else None
@@ -673,6 +688,8 @@ def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
     variables = read_variables(file)
     units, original = _of_trace(variables) if names is None else ({}, {})
     candidates, faults = dict(_flat_columns("", variables)), dict[str, str]()
+    size = FLOAT64 * sum(column.size for column in candidates.values() if isinstance(column, np.ndarray))
+    check_size(file, size, "columns", file.path.stat().st_size)
     for key, other in [c for c in candidates.items() if isinstance(c[1], NotNumbers)]:
         for name in names or ():
             if name == key or name.startswith((f"{key}.", f"{key}(")):

@@ -31,6 +31,7 @@ from orchestrator.ssp.system import Component, System
 from orchestrator.ssp.write import parameter_set
 
 STEP = 0.01  # s
+LONGEST_GAP = 3600.0  # s, in which a machine may be off; a longer one is longer than all readings around it
 ROWS = 100_000  # of the findings at most, 0.3 s apart over a day of 8 h: a hundred outputs fit into memory
 INTERVAL = 1.96  # deviations of a 95 % interval
 SLOW, SLOWEST = 1.2, 10.5  # steps of a log from which faults are told later; from which none is certain
@@ -234,6 +235,11 @@ def diagnose(
     if not trace.signals:
         names = first_names(sorted(inputs), 8)
         raise Problem(f"{recording}: no column has the name of an input of {fmu.name}: {names}")
+    steps = np.diff(trace.time)
+    if steps.max(initial=0.0) > LONGEST_GAP and steps.max() > len(steps) * np.median(steps):
+        k = int(steps.argmax())
+        gap = f"{trace.time[k]:g} s to {trace.time[k + 1]:g} s"
+        raise Problem(f"{recording}: expected readings all the time, got none from {gap}")
     missing, remarks = _without(component, trace, recording)
     units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
     rates = rate_faults(trace.time, trace.signals, units)
