@@ -2,8 +2,6 @@
 
 import os
 import random
-import signal
-import struct
 from collections.abc import Callable
 from datetime import date
 from pathlib import Path
@@ -19,7 +17,7 @@ from kit.mistakes import problem
 from fmus import parameters
 from fmus.identification.recordings.describe import describe
 from orchestrator import Problem, Trace, read_recording, read_trace, write_trace
-from orchestrator.data import logger_files, matlab, table
+from orchestrator.data import matlab, table
 from orchestrator.data.description import Description, Origin, SignalDescription, write_description
 from orchestrator.data.table import TextFormat, read_columns
 from orchestrator.studies.study import read as read_study
@@ -283,28 +281,6 @@ def test_a_line_that_does_not_end_is_refused(text, tmp_path, monkeypatch):
     refused(tmp_path / "a.csv", "a.csv: expected lines of at most 0 MB, got one of 0 MB")
     (tmp_path / "a.csv").write_text("time,x\n" + "".join(f"{k},1\n" for k in range(9000)), encoding="utf-8")
     assert len(read_trace(tmp_path / "a.csv").time) == 9000
-
-
-def block(name: bytes, links: list[int], data: bytes) -> bytes:
-    """A block of MDF 4 (ASAM MDF 4.1, section 5): its links, then its data."""
-    size = 24 + 8 * len(links) + len(data)
-    return struct.pack(f"<4sIQQ{len(links)}q", name, 0, size, len(links), *links) + data
-
-
-HD, DG, CG, CN = 64, 168, 232, 336
-LOOPS = {"DG": ([DG, CG, 0, 0], [0, 0, 0, 0, 0, 0]), "CG": ([0, CG, 0, 0], [CG, 0, 0, 0, 0, 0])}
-
-
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="Windows has no limit of time within a process")
-@pytest.mark.parametrize("name", LOOPS)
-def test_blocks_that_follow_themselves_end_in_one_line(name, tmp_path, monkeypatch):
-    """A group of data, or one of channels, whose next one is itself."""
-    monkeypatch.setattr(logger_files, "PATIENCE", 0.3)
-    of_data, of_channels = LOOPS[name]
-    head = struct.pack("<8s8s8s4xH30x", b"MDF     ", b"4.10    ", b"test    ", 410)
-    blocks = block(b"##HD", [DG, 0, 0, 0, 0, 0], bytes(32)) + block(b"##DG", of_data, bytes(8))
-    (tmp_path / "a.mf4").write_bytes(head + blocks + block(b"##CG", of_channels, bytes(32)))
-    refused(tmp_path / "a.mf4", "a.mf4: expected an MF4 file, got a damaged one (TimeoutError)")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such files")
