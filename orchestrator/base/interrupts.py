@@ -54,12 +54,12 @@ def time_limit(seconds: float) -> Iterator[None]:
     def late(*_: object) -> None:
         raise TimeoutError(f"not done within {seconds:.3g} s")
 
-    if not _in_main_thread() or not hasattr(signal, "setitimer"):
+    if not (_in_main_thread() and hasattr(signal, "setitimer")):
         yield
         return
     before = signal.signal(signal.SIGPROF, late)
-    signal.setitimer(signal.ITIMER_PROF, seconds, POLL_INTERVAL)  # again, if a library takes it for its own
     try:
+        signal.setitimer(signal.ITIMER_PROF, seconds, POLL_INTERVAL)  # again, if a library catches the first
         yield
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)

@@ -14,7 +14,7 @@ import json
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -112,14 +112,14 @@ def read_columns(
     names: Collection[str] | None,
     form: TextFormat | None = None,
     named: bool = True,
-    unread: list[str] | None = None,
+    lenient: bool = False,
 ) -> Columns:
     """Read columns of a file: Parquet (.parquet), MATLAB (.mat), or MF4, TDMS or text (any other suffix).
 
-    names    columns to read; None: all columns of a text or Parquet file, in their order
-    form     format of a text file; None: detected
-    named    True if a text file has a row of names; else its columns are "0", "1", ...
-    unread   gets a sentence for each column that is left out, such as one of texts; None: it is refused
+    names     columns to read; None: all columns of a text or Parquet file, in their order
+    form      format of a text file; None: detected
+    named     True if a text file has a row of names; else its columns are "0", "1", ...
+    lenient   leave out columns without numbers, and words in others; else they are refused
     """
     file = source if isinstance(source, Location) else Location(source)
     suffix = Path(str(file)).suffix.lower()
@@ -132,11 +132,9 @@ def read_columns(
     elif kind := logger_format(file):
         columns = _read_logger(file, kind, names)
     else:
-        columns = _read_text(file, names, form, named, gaps=names is not None or unread is not None)
-    for fault in columns.faults.values():
-        if unread is None:
-            raise Problem(fault)
-        unread.append(f"{fault}; left out")
+        columns = _read_text(file, names, form, named, gaps=lenient or names is not None)
+    for fault in () if lenient else columns.faults.values():
+        raise Problem(fault)
     if len(columns.rows) < (1 if names is None else 2):
         raise Problem(f"{file}: expected two or more rows of numbers, got {len(columns.rows) or 'none'}")
     for name, values in columns.values.items():
@@ -163,8 +161,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def clock(columns: Columns) -> str:
-    """The first column with the name of a clock, or of dates, whose times increase; "" without one."""
-    clocks = (n for n in columns.values if n in columns.moments or CLOCK.match(n))
+    """The first column with the name of a clock, or of times of day, that increases; "" without one."""
+    clocks = (n for n in columns.values if ":" in columns.moments.get(n, ":" * bool(CLOCK.match(n))))
     return next((n for n in clocks if (np.diff(columns.values[n]) > 0).all()), "")
 
 
@@ -270,7 +268,6 @@ class _Text:
             del lines[0]
         self.rows = self._rows(lines, len(LINE_BREAK.findall(text, 0, end)) + 1 + named)
         heading = self._take_heading(form.skip_rows if named else 0)
-        self._join_date()
         has_comma = self.delimiter != "," and text.find(",", end) >= 0
         self.decimal = form.decimal or (self._decimal() if has_comma else ".")
         if not self.rows:
@@ -317,20 +314,6 @@ class _Text:
     def place(self, key: str) -> str:
         """Where the user can set a key of the format."""
         return f"set {key} in [file] of {self.file.path.with_suffix('.toml').name}"
-
-    def _join_date(self) -> None:
-        """A column of dates next to one of times of day is a part of it."""
-        first = [cell.strip() for cell in self.cells(next(iter(self.rows.values()), ""))]
-        dates = [k for k, cell in enumerate(first) if DATE.fullmatch(cell)]
-        pairs = [(k, n) for k in dates for n in (k + 1, k - 1) if ":" in "".join(first[n : n + 1])]
-        for date, time in pairs[:1]:
-            del self.names[date : date + 1]
-            for number, row in self.rows.items():
-                cells = [*self.cells(row)]
-                if len(cells) > max(date, time):
-                    cells[time] = f"{cells[date].strip()} {cells[time].strip()}"
-                    del cells[date]
-                self.rows[number] = cells
 
     def _decimal(self) -> str:
         """The last mark in the first number that has one."""
@@ -623,19 +606,6 @@ def _number(cell: str) -> float | None:
         return math.nan if word in GAP_MARKS else WORDS.get(word)
 
 
-def _numeric(
-    columns: Iterable[str], values: Callable[[str], Array], faults: dict[str, str]
-) -> dict[str, Array]:
-    """The values of columns; `faults` gets the reason of each that has none."""
-    found = dict[str, Array]()
-    for name in columns:
-        try:
-            found[name] = values(name)
-        except Problem as problem:
-            faults[name] = str(problem)
-    return found
-
-
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a Parquet file, or of a folder of them, with units from the fields. A null is a gap."""
     require("files", f"{file}: a Parquet file", "pyarrow")
@@ -654,7 +624,12 @@ def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
         if not tables:
             raise Problem(f"{file}: expected Parquet files in this folder, got none")
         table = pyarrow.concat_tables(tables)
-        values = _numeric(selected, lambda n: _arrow_values(table.column(n), f"{file}: row", n), faults)
+        values = dict[str, Array]()
+        for name in selected:
+            try:
+                values[name] = _arrow_values(table.column(name), f"{file}: row", name)
+            except Problem as problem:
+                faults[name] = str(problem)
         metadata = {name: schema.field(name).metadata or {} for name in selected}
         units = {name: data[b"unit"].decode() for name, data in metadata.items() if b"unit" in data}
     except (pyarrow.ArrowException, OSError, ValueError) as error:  # ValueError: text that is not UTF-8
@@ -687,7 +662,7 @@ def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a MATLAB file, which must have the same length; with units if it is a trace of a run."""
     variables = read_variables(file)
     units, original = _of_trace(variables) if names is None else ({}, {})
-    candidates, faults = dict(_flat_columns("", variables)), dict[str, str]()
+    candidates, faults, values = dict(_flat_columns("", variables)), dict[str, str](), dict[str, Array]()
     size = FLOAT64 * sum(column.size for column in candidates.values() if isinstance(column, np.ndarray))
     check_size(file, size, "columns", file.path.stat().st_size)
     for key, other in [c for c in candidates.items() if isinstance(c[1], NotNumbers)]:
@@ -695,16 +670,13 @@ def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
             if name == key or name.startswith((f"{key}.", f"{key}(")):
                 raise Problem(f"{file}: column {shortened(name)!r}: expected numbers, got {other.what}")
         del candidates[key]
-
-    def numbers(name: str) -> Array:
+    for name in _column_indices(list(candidates), names, str(file), faults):
         column = candidates[name]
         if isinstance(column, str) or column.dtype.kind not in "fiub":
             got = repr(shortened(column)) if isinstance(column, str) else f"{column.dtype}"
-            raise Problem(f"{file}: row 1: column {name!r}: expected numbers, got {got}")
-        return column.astype(np.float64)  # type: ignore[no-any-return]
-
-    found = _numeric(_column_indices(list(candidates), names, str(file), faults), numbers, faults)
-    values = {original.get(name, name): column for name, column in found.items()}
+            faults[name] = f"{file}: row 1: column {name!r}: expected numbers, got {got}"
+        else:
+            values[original.get(name, name)] = column.astype(np.float64)
     lengths = {name: len(column) for name, column in values.items()}
     if len(set(lengths.values())) > 1:
         got = ", ".join(f"{name} {length}" for name, length in lengths.items())

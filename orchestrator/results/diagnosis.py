@@ -156,10 +156,8 @@ class Diagnosis:
         """What was found, in words."""
         if self.broken:
             unsure = [f.text for f in self.broken if f.may_be_healthy]
-            together = f"; each of these may be healthy alone, but not all: {'; '.join(unsure)}" * bool(
-                unsure
-            )
-            return f"{len(self.broken)} found, the most certain first{together}"
+            together = "; each of these may be healthy alone, but not all: " if unsure else ""
+            return f"{len(self.broken)} found, the most certain first{together}{'; '.join(unsure)}"
         count = f"{len(self.sound)} of {len(self.sound) + len(self.blind)} parts can be judged"
         return "nothing found" if self.is_known else f"not known whether it is healthy: only {count}"
 
@@ -242,10 +240,9 @@ def diagnose(
         raise Problem(f"{recording}: expected readings all the time, got none from {gap}")
     missing, remarks = _without(component, trace, recording)
     units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
-    rates = rate_faults(trace.time, trace.signals, units)
-    remarks += [f"{recording}: {name}: {fault}" for name, fault in rates]
+    remarks += [f"{recording}: {n}: {fault}" for n, fault in rate_faults(trace.time, trace.signals, units)]
     values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing}
-    if (slow := float(np.median(np.diff(trace.time))) / STEP) > SLOW:
+    if (slow := float(np.median(steps)) / STEP) > SLOW:
         rate = f"{recording}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"
         if slow > SLOWEST:
             raise Problem(f"{rate}, at least {1 / STEP / SLOWEST:.2g} Hz")

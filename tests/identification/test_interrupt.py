@@ -79,7 +79,7 @@ def test_the_command_writes_what_it_has(quick, tmp_path, capsys):
         "downsample": lambda r: r,
     }.items():
         quick.setattr(command, name, value)
-    (tmp_path / "mine").mkdir()
+    Path("mine").mkdir()
     assert main(["identify", "mine"]) == 130
     out, err = capsys.readouterr()
     assert err == "harvester: interrupted\n"

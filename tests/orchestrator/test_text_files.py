@@ -8,7 +8,7 @@ from kit.mistakes import problem, table
 from fmus.identification.recordings.reading import read_series
 from orchestrator import Trace, assemble, read_recording, read_trace, run, write_trace
 from orchestrator.base import files
-from orchestrator.data.table import read_columns, time_axis
+from orchestrator.data.table import read_columns
 from orchestrator.engine.scenario import drive
 
 
@@ -306,8 +306,7 @@ def test_lines_above_the_names_are_left_out(name, log, capsys):
     ],
 )
 def test_date_and_time_of_day_in_two_columns(text, log):
-    """They are one time, over midnight, too; the column of dates is a part of it."""
-    columns = read_columns(log(text), None)
-    assert [*columns.values] == ["Uhrzeit", "p"]
-    assert columns.values["p"].tolist() == [86.5, 86.9]
-    assert time_axis(columns, "Uhrzeit").tolist() == [0.0, 0.02]
+    """The times of day are the clock, over midnight, too; the column of dates is no signal."""
+    trace = read_trace(log(text))
+    assert {n: v.tolist() for n, v in trace.items()} == {"p": [86.5, 86.9]}
+    assert trace.time.tolist() == [0.0, 0.02]
