@@ -106,7 +106,7 @@ class Table:
 def read_file(path: Path, missing: str = "no such file") -> Table:
     """A TOML file as a table; missing: the message for a file that does not exist."""
     if not path.is_file():  # nor a device or a pipe, which may have no end
-        raise Problem(f"{path}: {missing}")
+        raise Problem(f"{path}: {'cannot be read: not a usual file' if path.exists() else missing}")
     return read(path, Location(path).read())
 
 

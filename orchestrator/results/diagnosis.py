@@ -233,6 +233,8 @@ def diagnose(
     if not trace.signals:
         names = first_names(sorted(inputs), 8)
         raise Problem(f"{recording}: no column has the name of an input of {fmu.name}: {names}")
+    if len(trace.time) < 2:
+        raise Problem(f"{recording}: expected two or more rows of numbers, got 1")
     steps = np.diff(trace.time)
     if steps.max(initial=0.0) > LONGEST_GAP and steps.max() > len(steps) * np.median(steps):
         k = int(steps.argmax())

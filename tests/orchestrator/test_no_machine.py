@@ -40,8 +40,8 @@ def code(path: Path) -> list[str]:
 
 
 def of_command(path: str, found: set[str]) -> bool:
-    """`harvester crane` and `build --crane` are commands for machines of other people."""
-    return path.startswith("cli/") and {name.lower() for name in found} == {"crane"}
+    """`harvester crane` and `build --crane`, and what they need, are for machines of other people."""
+    return path.startswith(("cli/", "base/extras.py")) and {name.lower() for name in found} == {"crane"}
 
 
 def names(text: str) -> set[str]:
