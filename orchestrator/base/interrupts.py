@@ -51,6 +51,25 @@ def signals_interrupt(received: list[int]) -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Context that raises TimeoutError after some processor time, in the main thread of POSIX systems."""
+
+    def late(*_: object) -> None:
+        raise TimeoutError(f"not done within {seconds:.3g} s")
+
+    if not (_in_main_thread() and hasattr(signal, "setitimer")):
+        yield
+        return
+    before = signal.signal(signal.SIGPROF, late)
+    try:
+        signal.setitimer(signal.ITIMER_PROF, seconds, POLL_INTERVAL)  # again, if a library catches the first
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+
+
 class DeferredInterrupts:
     """Context that delays signals with a Python handler until `check` is called or the context ends.
 

@@ -79,26 +79,19 @@ def rate_faults(
     time: Array, signals: Mapping[str, Array], units: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
     """Rates [rad/s, m/s] that are a factor of units off the change of the signal that moves like them."""
-
-    def moving(values: Array) -> Array:
-        return np.asarray(values - np.polyval(np.polyfit(time, values, 1), time))  # a gyro's zero is a slope
-
-    for name in (n for n in signals if units.get(n) in ("rad/s", "m/s") and len(time) > 2):
-        rate, found = np.nan_to_num(signals[name]), [(0.0, 0.0, "")]
-        steps = (rate[1:] + rate[:-1]) / 2 * np.diff(time)
-        turned = moving(np.concatenate([[0.0], np.cumsum(steps)]))
-        for other, values in signals.items():
-            known = np.isfinite(values)
-            if f"{units.get(other)}/s" == units[name] and known.any():
-                moved = moving(np.interp(time, time[known], values[known]))
-                both, own, its = (
-                    float(a @ b) for a, b in ((moved, turned), (moved, moved), (turned, turned))
-                )
-                found.append((both**2 / (own * its or np.inf), abs(both) / (own or np.inf), other))
-        alike, ratio, other = max(found)
-        meant = next((text for r, text in RATIOS.items() if abs(ratio / r - 1) < SCALE), "")
-        if meant and alike > ALIKE:
-            yield name, f"{ratio:.3g} times as fast as {other} changes: {meant}?"
+    known = {n: np.isfinite(v) for n, v in signals.items()}
+    of = {n: np.interp(time, time[k], signals[n][k]) for n, k in known.items() if k.any() and len(time) > 2}
+    for name in (n for n in of if units.get(n) in ("rad/s", "m/s")):
+        others = [n for n in of if f"{units.get(n)}/s" == units[name]]
+        turned = np.append(0.0, np.cumsum((of[name][1:] + of[name][:-1]) / 2 * np.diff(time)))
+        rows = np.array([turned, *(of[n] for n in others)])
+        slopes, starts = np.polyfit(time, rows.T, 1)  # a slope of the integral is the zero of a gyro
+        rows -= np.outer(slopes, time) + starts[:, None]
+        both, squares = np.abs(rows @ rows[0])[1:], np.maximum((rows**2).sum(axis=1), 1e-30)
+        alike, ratios = both**2 / (squares[1:] * squares[0]), both / squares[1:]
+        for ratio, other in ((ratios[k], others[k]) for k in np.flatnonzero(alike > ALIKE)[:1]):
+            if meant := next((text for r, text in RATIOS.items() if abs(ratio / r - 1) < SCALE), ""):
+                yield name, f"{ratio:.3g} times as fast as {other} changes: {meant}?"
 
 
 def unwrapping(raw: Array, spec: SignalDescription, column: str) -> SignalDescription:

@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from importlib import import_module
 from io import BytesIO
 from typing import Any, TypeAlias
 
@@ -25,12 +26,14 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
+from orchestrator.base.interrupts import time_limit
 from orchestrator.base.text import first_names
 from orchestrator.base.units import parse_unit
 from orchestrator.data.matlab import ERRORS, MAX_BYTES
 
 Array = NDArray[np.float64]
 HEAD = 512  # bytes that show the format of a file
+PATIENCE, FOR_A_BYTE = 3.0, 5e-6  # [s], [s/byte]: processor time for a file, whose blocks may be a loop
 TIME, SECOND = "time", np.timedelta64(1, "s")
 DENSE = 1.5  # periods of a clock; samples that are closer have no gap in between
 ROUNDING = 1e-6  # of times, in periods
@@ -56,10 +59,7 @@ OTHERS = {  # beginning of a file -> its format, and the way out
     rb"PK\x03\x04|\x1f\x8b|BZh\d1AY|7z\xbc\xaf|\xfd7zXZ|\x28\xb5\x2f\xfd": ("an archive", "unpack it"),
     rb"\x89PNG|\xff\xd8\xff|GIF8[79]a|%PDF": ("a picture or a PDF", "export its values as CSV"),
     rb"PAR1[\0-\x1f]": ("Parquet", "name it .parquet"),
-    rb"DIAEXTENDED|(\xef\xbb\xbf)?<\?xml.*<\w*:?tdm\b": (
-        "a header of DIAdem",
-        "export its channels as TDMS or CSV",
-    ),
+    rb"DIAEXTENDED|.{,3}<\?xml.*<\w*:?tdm\b": ("a header of DIAdem", "export its channels as TDMS or CSV"),
     rb"\x89HDF|MATLAB 5": ("MATLAB or HDF5", "name it .mat, or export CSV"),
 }
 
@@ -81,16 +81,13 @@ def logger_format(file: Location) -> str:
 def labview_table(file: Location, text: str) -> str:
     """The table of a LabVIEW measurement file in its lines, with units in the names; another text as it is.
 
-    Without a column of times they follow from the header. Comments and further columns of the same times are
-    left out.
+    Times may follow from the header. Comments and further columns of the same times are left out.
     """
     if not text.startswith(LABVIEW):
         return text
     *headers, table = text.split(END_OF_HEADER)
     if len(headers) != 2:
-        raise Problem(
-            f"{file}: expected one header of channels, got {len(headers) - 1}: write a file for each"
-        )
+        raise Problem(f"{file}: expected one header of channels, got {len(headers) - 1}: use a file for each")
     mark = "," if "\nSeparator," in headers[0] else "\t"
     entries = {key: values for key, *values in (row.split(mark) for row in "".join(headers).splitlines())}
     try:
@@ -98,11 +95,9 @@ def labview_table(file: Location, text: str) -> str:
         start, every = (float(n.replace(",", ".")) for n in (entries["X0"][0], steps[0]))
         _, names, *rows = (line.split(mark) for line in table.splitlines())
     except (LookupError, ValueError):
-        raise Problem(
-            f"{file}: expected a LabVIEW measurement, got one without X0, Delta_X or names"
-        ) from None
+        raise Problem(f"{file}: expected a LabVIEW file, got one without X0, Delta_X or names") from None
     if {*steps} != {steps[0]}:
-        raise Problem(f"{file}: expected one Delta_X, got {first_names(steps)}: write a file for each")
+        raise Problem(f"{file}: expected one Delta_X, got {first_names(steps)}: use a file for each")
     units = ["s", *entries.get("Y_Unit_Label", ()), *[""] * len(names)]
     kept = [k for k, n in enumerate(names) if n not in ("", "Comment") and (n != "X_Value" or not k)]
     lines = [mark.join(f"{names[k]} [{units[k]}]" if units[k] else names[k] for k in kept)]
@@ -115,9 +110,11 @@ def labview_table(file: Location, text: str) -> str:
 @contextmanager
 def channels(file: Location, kind: str) -> Iterator[dict[str, Callable[[], Samples]]]:
     """Functions that read the channels, by name: "group.name" if several groups have the name."""
-    require("logger", f"{file}: {kind} file", "asammdf" if kind == MDF else "nptdms")
+    library, open_file = ("asammdf", _mdf) if kind == MDF else ("nptdms", _tdms)
+    require("logger", f"{file}: {kind} file", library)
+    import_module(library)  # before the time counts
     try:
-        with (_mdf if kind == MDF else _tdms)(file) as found:
+        with time_limit(PATIENCE + FOR_A_BYTE * file.path.stat().st_size), open_file(file) as found:
             if found and all(name.startswith("CAN_DataFrame") for _, name, _ in found):
                 advice = "decode them with the DBC file, such as by asammdf"
                 raise Problem(f"{file}: expected signals, got frames of a CAN bus: {advice}")

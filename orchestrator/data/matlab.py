@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
-from orchestrator.base.files import Location
+from orchestrator.base.files import ANY_RATIO, MAX_RATIO, Location
+from orchestrator.base.processes import FLOAT64
 
 MAX_BYTES = 8 << 30  # of a file or its numbers: 100 signals at 200 Hz for ten hours are 5.8 GB
-MAX_RATIO, SMALL = 1032, 64 << 20  # deflate compresses to 1/1032 at most; small variables may be fill values
 MAX_VARIABLES = 10_000  # of an HDF5 file, read in some seconds; loggers record some thousand
 MAX_SHOWN = 40  # characters of a name or a cell in a message
 
@@ -71,7 +71,7 @@ def read_variables(file: Location) -> dict[str, Any]:
         data = file.read(MAX_BYTES)
         if 0 in data[:4]:  # in version 5 a text begins here
             return _version_4(file, data)
-        return _version_5(data)
+        return _version_5(file, data)
     except (*ERRORS, struct.error, zlib.error) as error:
         raise Problem(f"{file}: expected a MATLAB file, got {first_line(error)}") from None
 
@@ -92,11 +92,11 @@ def _is_version_7_3(path: Path) -> bool:
     return False
 
 
-def check_size(file: Location, size: int, what: str) -> None:
-    """Refuse what the memory of a computer cannot hold, before it is read."""
-    if size > MAX_BYTES:
+def check_size(file: Location, size: int, what: str, packed: float = math.inf) -> None:
+    """Refuse what the memory of a computer cannot hold, or much more than is packed, before it is read."""
+    if size > (most := min(MAX_BYTES, max(ANY_RATIO, MAX_RATIO * packed))):
         got = f"{what} of {size / 2**30:.3g} GiB"
-        raise Problem(f"{file}: expected at most {MAX_BYTES >> 30} GiB of samples, got {got}")
+        raise Problem(f"{file}: expected at most {most / 2**30:.3g} GiB of samples, got {got}")
 
 
 def shortened(text: str) -> str:
@@ -109,14 +109,6 @@ def first_line(error: Exception) -> str:
     return next(iter(str(error).strip().splitlines()), type(error).__name__)
 
 
-def _check_declared(file: Location, name: str, declared: int, stored: int) -> None:
-    """Refuse a variable that declares more bytes than can be read, or than `stored` bytes can contain."""
-    check_size(file, declared, f"{shortened(name)!r}")
-    if declared > max(SMALL, MAX_RATIO * stored):
-        got = f"{declared / 2**20:.0f} MiB declared and {stored} bytes stored"
-        raise Problem(f"{file}: {shortened(name)!r}: expected a MATLAB file, got {got}")
-
-
 # ---- version 7.3
 
 
@@ -127,12 +119,14 @@ class _Hdf5:
     open     addresses of the groups around the variable that is read; damage can make a group contain itself
     arrays   contents by address: a hard link is a second name of the same content
     count    number of the variables that were read
+    size     bytes of their numbers in memory
     """
 
     file: Location
     open: list[int] = field(default_factory=list)
     arrays: dict[int, Any] = field(default_factory=dict)
     count: int = 0
+    size: int = 0
 
     def group(self, group: Any) -> dict[str, Any]:
         """A group (a struct) as a dictionary; links and references (cells) are not followed."""
@@ -173,7 +167,10 @@ class _Hdf5:
         text = kind == b"char"
         if item.dtype.kind not in ("u" if text else "fiub"):
             return NotNumbers(f"of type {kind.decode() if isinstance(kind, bytes) else item.dtype}")
-        _check_declared(self.file, name, item.size * item.dtype.itemsize, item.id.get_storage_size())
+        self.size += FLOAT64 * item.size
+        check_size(
+            self.file, self.size, f"variables up to {shortened(name)!r}", self.file.path.stat().st_size
+        )
         values = np.asarray(item).T  # HDF5 has the dimensions in reverse order
         return "".join(map(chr, values.ravel())) if text else values
 
@@ -185,19 +182,22 @@ def _version_4(file: Location, data: bytes) -> dict[str, Any]:
     require("files", f"{file}: a MATLAB file of version 4", "scipy")
     import scipy.io
 
-    for name, shape, _ in scipy.io.whosmat(BytesIO(data)):
-        _check_declared(file, name, 8 * math.prod(shape), len(data))
+    size = sum(FLOAT64 * math.prod(shape) for _, shape, _ in scipy.io.whosmat(BytesIO(data)))
+    check_size(file, size, "variables", len(data))
     return {n: v for n, v in scipy.io.loadmat(BytesIO(data)).items() if isinstance(v, np.ndarray)}
 
 
-def _version_5(data: bytes) -> dict[str, Any]:
+def _version_5(file: Location, data: bytes) -> dict[str, Any]:
     order = {b"IM": "<", b"MI": ">"}.get(data[HEADER - 2 : HEADER])
     if order is None:
         raise ValueError("no header of version 5, 7 or 7.3")
-    result: dict[str, Any] = {}
+    result, size = dict[str, Any](), 0
     for kind, content in _elements(memoryview(data)[HEADER:], order):
         if kind == COMPRESSED:
-            unpacked = zlib.decompressobj().decompress(content, MAX_BYTES)
+            most = max(ANY_RATIO, MAX_RATIO * len(data)) - size
+            unpacked = zlib.decompressobj().decompress(content, most + 1)
+            size += len(unpacked)
+            check_size(file, size, "variables", len(data))
             kind, content = _next(_elements(memoryview(unpacked), order))
         if kind == MATRIX:
             name, value = _matrix(content, order)

@@ -14,12 +14,12 @@ import json
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from io import BytesIO
-from itertools import islice, pairwise, product, takewhile, zip_longest
+from itertools import islice, product, takewhile, zip_longest
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
+from orchestrator.base.processes import FLOAT64
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
 from orchestrator.base.units import factor_and_offset, is_unit
@@ -43,6 +44,7 @@ GAP_MARKS = ("", "nan", "na", "n/a", "null", "none")  # texts that loggers write
 WORDS = {"true": 1.0, "wahr": 1.0, "false": 0.0, "falsch": 0.0}
 ONE = "1"  # unit of Booleans
 CHUNK = 5000  # rows of text converted at once, or cell by cell if one of them has a gap
+MAX_LINE = 20_000_000  # characters: a million columns
 MAX_LISTED_COLUMNS = 256  # a matrix with more columns is read by rows
 LINE_BREAK = re.compile(r"\r\n?|\n")
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", r"\s+": "white space"}
@@ -110,14 +112,14 @@ def read_columns(
     names: Collection[str] | None,
     form: TextFormat | None = None,
     named: bool = True,
-    unread: list[str] | None = None,
+    lenient: bool = False,
 ) -> Columns:
     """Read columns of a file: Parquet (.parquet), MATLAB (.mat), or MF4, TDMS or text (any other suffix).
 
-    names    columns to read; None: all columns of a text or Parquet file, in their order
-    form     format of a text file; None: detected
-    named    True if a text file has a row of names; else its columns are "0", "1", ...
-    unread   gets a sentence for each column that is left out, such as one of texts; None: it is refused
+    names     columns to read; None: all columns of a text or Parquet file, in their order
+    form      format of a text file; None: detected
+    named     True if a text file has a row of names; else its columns are "0", "1", ...
+    lenient   leave out columns without numbers, and words in others; else they are refused
     """
     file = source if isinstance(source, Location) else Location(source)
     suffix = Path(str(file)).suffix.lower()
@@ -130,11 +132,9 @@ def read_columns(
     elif kind := logger_format(file):
         columns = _read_logger(file, kind, names)
     else:
-        columns = _read_text(file, names, form, named, gaps=names is not None or unread is not None)
-    for fault in columns.faults.values():
-        if unread is None:
-            raise Problem(fault)
-        unread.append(f"{fault}; left out")
+        columns = _read_text(file, names, form, named, gaps=lenient or names is not None)
+    for fault in () if lenient else columns.faults.values():
+        raise Problem(fault)
     if len(columns.rows) < (1 if names is None else 2):
         raise Problem(f"{file}: expected two or more rows of numbers, got {len(columns.rows) or 'none'}")
     for name, values in columns.values.items():
@@ -354,6 +354,9 @@ class _Text:
             tell_once(f"{self.file}: line {line}: {got}; read as Windows-1252")
         if self.file.path.name.endswith(PARTIAL):  # the last row is cut if the run was killed
             text = text[: text.rfind("\n") + 1]
+        if (longest := max(end - begin for begin, end in _first_lines(text))) > MAX_LINE:
+            got = f"one of {longest / 1e6:.0f} MB"
+            raise Problem(f"{self.file}: expected lines of at most {MAX_LINE / 1e6:.0f} MB, got {got}")
         return labview_table(self.file, text)
 
     def _rows(self, lines: Sequence[str], first: int) -> dict[int, str | list[str]]:
@@ -491,13 +494,23 @@ def _count_values(text: str, start: int, delimiter: str) -> int:
     return sum(map(_is_value, (cell for row in wide for cell in row[:FIRST_CELLS]))) if names[1:] else 0
 
 
+def _first_lines(text: str) -> list[tuple[int, int]]:
+    """Begin and end of each of the first lines; one that is too long ends with the text."""
+    spans, begin = list[tuple[int, int]](), 0
+    while len(spans) <= FIRST_ROWS and (begin < len(text) or not spans):
+        match = LINE_BREAK.search(text, begin, begin + MAX_LINE)
+        spans.append((begin, match.end() if match else len(text)))
+        begin = spans[-1][1]
+    return spans
+
+
 def _lines_above(text: str) -> int:
     """The number of lines above the names, which are in the heading before the most rows of its width.
 
     Of the rows of a heading they are the one with a clock, else the one above the units, else the last.
     """
-    starts = [0, *(match.end() for match in islice(LINE_BREAK.finditer(text), FIRST_ROWS)), len(text)]
-    lines = [LINE_BREAK.split(text[a:b], maxsplit=1)[0] for a, b in pairwise(starts)]
+    starts, ends = zip(*_first_lines(text), strict=True)
+    lines = [text[a:b].rstrip("\r\n") for a, b in zip(starts, ends, strict=True)]
     best, last, end, mark = 0, 0, 0, None
     for number, delimiter in product(range(len(lines)), DELIMITERS):
         m = delimiter if len(delimiter) == 1 else None
@@ -608,19 +621,6 @@ def _number(cell: str) -> float | None:
         return math.nan if word in GAP_MARKS else WORDS.get(word)
 
 
-def _numeric(
-    columns: Iterable[str], values: Callable[[str], Array], faults: dict[str, str]
-) -> dict[str, Array]:
-    """The values of columns; `faults` gets the reason of each that has none."""
-    found = dict[str, Array]()
-    for name in columns:
-        try:
-            found[name] = values(name)
-        except Problem as problem:
-            faults[name] = str(problem)
-    return found
-
-
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a Parquet file, or of a folder of them, with units from the fields. A null is a gap."""
     require("files", f"{file}: a Parquet file", "pyarrow")
@@ -639,7 +639,12 @@ def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
         if not tables:
             raise Problem(f"{file}: expected Parquet files in this folder, got none")
         table = pyarrow.concat_tables(tables)
-        values = _numeric(selected, lambda n: _arrow_values(table.column(n), f"{file}: row", n), faults)
+        values = dict[str, Array]()
+        for name in selected:
+            try:
+                values[name] = _arrow_values(table.column(name), f"{file}: row", name)
+            except Problem as problem:
+                faults[name] = str(problem)
         metadata = {name: schema.field(name).metadata or {} for name in selected}
         units = {name: data[b"unit"].decode() for name, data in metadata.items() if b"unit" in data}
     except (pyarrow.ArrowException, OSError, ValueError) as error:  # ValueError: text that is not UTF-8
@@ -672,22 +677,21 @@ def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a MATLAB file, which must have the same length; with units if it is a trace of a run."""
     variables = read_variables(file)
     units, original = _of_trace(variables) if names is None else ({}, {})
-    candidates, faults = dict(_flat_columns("", variables)), dict[str, str]()
+    candidates, faults, values = dict(_flat_columns("", variables)), dict[str, str](), dict[str, Array]()
+    size = FLOAT64 * sum(column.size for column in candidates.values() if isinstance(column, np.ndarray))
+    check_size(file, size, "columns", file.path.stat().st_size)
     for key, other in [c for c in candidates.items() if isinstance(c[1], NotNumbers)]:
         for name in names or ():
             if name == key or name.startswith((f"{key}.", f"{key}(")):
                 raise Problem(f"{file}: column {shortened(name)!r}: expected numbers, got {other.what}")
         del candidates[key]
-
-    def numbers(name: str) -> Array:
+    for name in _column_indices(list(candidates), names, str(file), faults):
         column = candidates[name]
         if isinstance(column, str) or column.dtype.kind not in "fiub":
             got = repr(shortened(column)) if isinstance(column, str) else f"{column.dtype}"
-            raise Problem(f"{file}: row 1: column {name!r}: expected numbers, got {got}")
-        return column.astype(np.float64)  # type: ignore[no-any-return]
-
-    found = _numeric(_column_indices(list(candidates), names, str(file), faults), numbers, faults)
-    values = {original.get(name, name): column for name, column in found.items()}
+            faults[name] = f"{file}: row 1: column {name!r}: expected numbers, got {got}"
+        else:
+            values[original.get(name, name)] = column.astype(np.float64)
     lengths = {name: len(column) for name, column in values.items()}
     if len(set(lengths.values())) > 1:
         got = ", ".join(f"{name} {length}" for name, length in lengths.items())

@@ -328,10 +328,9 @@ def trace_of(
     gaps   NaN is allowed
     sort   rows may be out of order: they are sorted, and of those at one time the last counts
     """
-    unread: list[str] | None = [] if gaps else None
-    columns = read_columns(file, None, description.file if description else None, unread=unread)
-    for sentence in unread or ():
-        tell_once(sentence)
+    columns = read_columns(file, None, description.file if description else None, lenient=gaps)
+    for fault in columns.faults.values():
+        tell_once(f"{fault}; left out")
     time = description.time if description else TimeDescription()
     written = not file.members and file.path.with_suffix(METADATA_SUFFIX).is_file()  # by a run
     in_si = _in_si(columns, time, named=description is not None, of_text=not written)

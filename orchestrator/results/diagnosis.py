@@ -31,6 +31,7 @@ from orchestrator.ssp.system import Component, System
 from orchestrator.ssp.write import parameter_set
 
 STEP = 0.01  # s
+LONGEST_GAP = 3600.0  # s, in which a machine may be off; a longer one is longer than all readings around it
 ROWS = 100_000  # of the findings at most, 0.3 s apart over a day of 8 h: a hundred outputs fit into memory
 INTERVAL = 1.96  # deviations of a 95 % interval
 SLOW, SLOWEST = 1.2, 10.5  # steps of a log from which faults are told later; from which none is certain
@@ -155,10 +156,8 @@ class Diagnosis:
         """What was found, in words."""
         if self.broken:
             unsure = [f.text for f in self.broken if f.may_be_healthy]
-            together = f"; each of these may be healthy alone, but not all: {'; '.join(unsure)}" * bool(
-                unsure
-            )
-            return f"{len(self.broken)} found, the most certain first{together}"
+            together = "; each of these may be healthy alone, but not all: " if unsure else ""
+            return f"{len(self.broken)} found, the most certain first{together}{'; '.join(unsure)}"
         count = f"{len(self.sound)} of {len(self.sound) + len(self.blind)} parts can be judged"
         return "nothing found" if self.is_known else f"not known whether it is healthy: only {count}"
 
@@ -234,12 +233,18 @@ def diagnose(
     if not trace.signals:
         names = first_names(sorted(inputs), 8)
         raise Problem(f"{recording}: no column has the name of an input of {fmu.name}: {names}")
+    if len(trace.time) < 2:
+        raise Problem(f"{recording}: expected two or more rows of numbers, got 1")
+    steps = np.diff(trace.time)
+    if steps.max(initial=0.0) > LONGEST_GAP and steps.max() > len(steps) * np.median(steps):
+        k = int(steps.argmax())
+        gap = f"{trace.time[k]:g} s to {trace.time[k + 1]:g} s"
+        raise Problem(f"{recording}: expected readings all the time, got none from {gap}")
     missing, remarks = _without(component, trace, recording)
     units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
-    rates = rate_faults(trace.time, trace.signals, units)
-    remarks += [f"{recording}: {name}: {fault}" for name, fault in rates]
+    remarks += [f"{recording}: {n}: {fault}" for n, fault in rate_faults(trace.time, trace.signals, units)]
     values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing}
-    if (slow := float(np.median(np.diff(trace.time))) / STEP) > SLOW:
+    if (slow := float(np.median(steps)) / STEP) > SLOW:
         rate = f"{recording}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"
         if slow > SLOWEST:
             raise Problem(f"{rate}, at least {1 / STEP / SLOWEST:.2g} Hz")

@@ -110,6 +110,14 @@ def test_a_log_below_10_hz_is_refused(fmu, columns, tmp_path):
         problem(lambda file=file: diagnose(fmu, file), r"Hz, expected 100 Hz or more, at least 9\.5 Hz")
 
 
+@pytest.mark.parametrize("late", [1e9, 4000.0])
+def test_readings_that_stop_for_long_are_refused(fmu, columns, tmp_path, late):
+    """One wrong time would be ten million years of work in which nothing was measured."""
+    columns["time"] = np.append(columns["time"][:-1], late)
+    told = rf"log.csv: expected readings all the time, got none from 1\.99 s to {late:g} s"
+    problem(lambda: diagnose(fmu, written(tmp_path, columns)), told.replace("+", r"\+"))
+
+
 def test_findings_that_are_judged_together_are_told_so():
     """Each of them may be healthy alone; a size far from that of the healthy machine is certain."""
 

@@ -15,7 +15,9 @@ from kit import shards
 from kit.mistakes import problem
 
 from fmus import parameters
+from fmus.identification.recordings.describe import describe
 from orchestrator import Problem, Trace, read_recording, read_trace, write_trace
+from orchestrator.data import matlab, table
 from orchestrator.data.description import Description, Origin, SignalDescription, write_description
 from orchestrator.data.table import TextFormat, read_columns
 from orchestrator.studies.study import read as read_study
@@ -198,8 +200,11 @@ def virtual(file: h5py.File) -> None:
         (link(h5py.SoftLink("/time")), "'x': expected numbers, got a link to /time"),
         (dataset(1, 10, external=[("other.bin", 0, 80)]), "'x': expected numbers, got values in another"),
         (virtual, "'x': expected numbers, got values in another file"),
-        (dataset(1, 10**10, chunks=(1, 1000)), "expected at most 8 GiB of samples, got 'x' of 74.5 GiB"),
-        (dataset(1, 10**8, chunks=(1, 1000)), "'x': expected a MATLAB file, got 763 MiB declared and 0 byt"),
+        (dataset(1, 10**10, chunks=(1, 1000)), "GiB of samples, got variables up to 'x' of 74.5 GiB"),
+        (
+            dataset(1, 10**8, chunks=(1, 1000)),
+            "expected at most 0.488 GiB of samples, got variables up to 'x'",
+        ),
         (
             lambda f: f.__setitem__("a/b", f.create_group("a")),
             "/a/b: expected a struct, got one that contains",
@@ -234,6 +239,60 @@ def test_a_file_beyond_any_memory_is_refused_by_its_size(tmp_path):
     path.touch()
     os.truncate(path, 74 << 30)
     refused(path, "a.csv: expected at most 8590 MB, got 79457 MB")
+
+
+def packed_mat(path: Path, **variables: Any) -> Path:
+    scipy.io.savemat(path, {"time": np.arange(10.0), **variables}, do_compression=True)
+    return path
+
+
+def packed_mat73(path: Path, **variables: Any) -> Path:
+    options = {"compression": "gzip", "chunks": (1, 100_000)}
+    return mat73(path, lambda f: [f.create_dataset(n, data=v, **options) for n, v in variables.items()])
+
+
+ZEROS = np.zeros((1, 1_000_000), np.int8)
+PACKED = {
+    "one variable": lambda path: packed_mat(path, y=np.tile(ZEROS, 4)),
+    "four variables": lambda path: packed_mat(path, **dict.fromkeys("abcd", ZEROS)),
+    "numbers of a byte": lambda path: packed_mat(path, y=ZEROS[:, :300_000]),
+    "version 7.3": lambda path: packed_mat73(path, **dict.fromkeys("ab", ZEROS[:, :200_000])),
+}
+
+
+@pytest.mark.parametrize("name", PACKED)
+def test_a_small_mat_file_takes_no_memory(name, tmp_path, monkeypatch):
+    """Constant bytes are packed to a thousandth; unpacked, each becomes a number of eight bytes."""
+    monkeypatch.setattr(matlab, "ANY_RATIO", 2_000_000)
+    path = PACKED[name](tmp_path / "a.mat")
+    assert path.stat().st_size < 10_000
+    refused(path, "a.mat: expected at most 0.00186 GiB of samples, got ")
+    monkeypatch.setattr(matlab, "ANY_RATIO", 500 << 20)
+    assert {*read_columns(path, {"time"}).values} == {"time"}
+
+
+@pytest.mark.parametrize(
+    "text", ["time," + "a," * 5000, "time,x\n0,1\n" + "1," * 5000 + "\n2,3\n", "9" * 9000]
+)
+def test_a_line_that_does_not_end_is_refused(text, tmp_path, monkeypatch):
+    """Before it is split into cells, each of which takes memory; many lines of usual length are read."""
+    monkeypatch.setattr(table, "MAX_LINE", 4000)
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    refused(tmp_path / "a.csv", "a.csv: expected lines of at most 0 MB, got one of 0 MB")
+    (tmp_path / "a.csv").write_text("time,x\n" + "".join(f"{k},1\n" for k in range(9000)), encoding="utf-8")
+    assert len(read_trace(tmp_path / "a.csv").time) == 9000
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such files")
+def test_a_pipe_is_no_file(tmp_path):
+    """Nor is a device, as samples or as their description: it may have no end, or never begin."""
+    os.mkfifo(tmp_path / "a.toml")
+    for path in (tmp_path / "a.toml", Path("/dev/zero")):
+        problem(lambda path=path: read_recording(path), "no such file|a device or a pipe")
+        problem(lambda path=path: describe(path), "no such file|a device or a pipe")
+    for suffix in (".csv", ".mat", ".parquet", ".mf4"):
+        os.mkfifo(path := tmp_path / f"b{suffix}")
+        problem(lambda path=path: read_trace(path), "no such file")
 
 
 CELLS = [  # the csv module refuses more than 131 072 characters by an exception of its own

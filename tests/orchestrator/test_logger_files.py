@@ -3,6 +3,8 @@
 import gc
 import gzip
 import io
+import signal
+import struct
 import zipfile
 
 import numpy as np
@@ -12,6 +14,7 @@ from kit.mistakes import problem
 from nptdms import ChannelObject, TdmsWriter
 
 from orchestrator import read_recording, run
+from orchestrator.data import logger_files
 from orchestrator.data.table import read_columns
 from orchestrator.data.trace import read_trace
 
@@ -190,6 +193,35 @@ def test_a_damaged_mf4_file_is_one_line(mf4, capfd):
         assert refusal(mf4).startswith(f"{mf4}: expected an MF4 file, got a damaged one (")
     gc.collect()
     assert capfd.readouterr() == ("", "")
+
+
+def block(name, links, data):
+    """A block of MDF 4 (ASAM MDF 4.1, section 5): its links, then its data."""
+    size = 24 + 8 * len(links) + len(data)
+    return struct.pack(f"<4sIQQ{len(links)}q", name, 0, size, len(links), *links) + data
+
+
+HD, DG, CG = 64, 168, 232  # addresses of a header, a group of data, and one of channels
+LOOPS = {"HD": (HD, DG, 0, 0), "DG": (DG, DG, CG, 0), "CG": (DG, 0, CG, CG)}
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="Windows has no limit of time within a process")
+# asammdf leaves its temporary file open
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("name", LOOPS)
+def test_blocks_that_follow_themselves_end_in_one_line(name, tmp_path, monkeypatch):
+    """A header as the first group, a group of data or one of channels whose next one is itself."""
+    monkeypatch.setattr(logger_files, "PATIENCE", 0.3)
+    first, next_data, channels, next_channels = LOOPS[name]
+    data = struct.pack("<8s8s8s4xH34x", b"MDF     ", b"4.10    ", b"test    ", 410)
+    data += block(b"##HD", [first, 0, 0, 0, 0, 0], bytes(32))
+    data += block(b"##DG", [next_data, channels, 0, 0], bytes(8))
+    data += block(b"##CG", [next_channels, 0, 0, 0, 0, 0], bytes(32))
+    (tmp_path / "a.mf4").write_bytes(data)
+    told = refusal(tmp_path / "a.mf4")
+    assert told == f"{tmp_path / 'a.mf4'}: expected an MF4 file, got a damaged one (TimeoutError)"
+    gc.collect()
+    assert signal.getitimer(signal.ITIMER_PROF) == (0, 0)
 
 
 def test_a_tdms_file_that_is_cut_off_is_read_up_to_there(tdms, capfd):

@@ -303,11 +303,13 @@ def test_lines_above_the_names_are_left_out(name, log, capsys):
         "Datum;Uhrzeit;p\n27.11.2026;23:59:59,990;86,5\n28.11.2026;00:00:00,010;86,9\n",
         "Uhrzeit;Datum;p\n23:59:59,99;27.11.2026;86,5\n00:00:00,01;28.11.2026;86,9\n",
         "Datum,Uhrzeit,p\n2026-11-27,23:59:59.990,86.5\n2026-11-28,00:00:00.010,86.9\n",
+        "Datum,Uhrzeit,p\n2026-11-27,23:59:59.990,86.5\n2026-11-30,00:00:00.010,86.9\n",
     ],
 )
 def test_date_and_time_of_day_in_two_columns(text, log):
-    """They are one time, over midnight, too; the column of dates is a part of it."""
+    """They are one time, over midnight and over whole days, too; the column of dates is a part of it."""
     columns = read_columns(log(text), None)
     assert [*columns.values] == ["Uhrzeit", "p"]
     assert columns.values["p"].tolist() == [86.5, 86.9]
-    assert time_axis(columns, "Uhrzeit").tolist() == [0.0, 0.02]
+    days = 2 * ("30" in text)
+    assert time_axis(columns, "Uhrzeit").tolist() == [0.0, 0.02 + 86400 * days]

@@ -100,12 +100,12 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     if not file.data.keys() <= {"file"} and not force:
         raise Problem(f"{out}: expected no such file, got one; --force overwrites it, --out names another")
     form = replace(toml.read_dataclass(TextFormat, file.table("file")), csv=data.name)
-    unread = list[str]()
-    columns = read_columns(data, None, form, unread=unread)
+    columns = read_columns(data, None, form, lenient=True)
+    unread = list(columns.faults.values())
     of_run = units_of_run(data, columns.values)
     columns = replace(columns, units={**columns.units, **of_run})
     if len(columns.values) < 2 and unread:
-        raise Problem(unread[0].removesuffix("; left out"))
+        raise Problem(unread[0])
     units = {name: _unit(columns, name) for name in columns.values}
     time, units[time] = _time(columns, units)
     values = {n: convert(v, u := units[n], si_unit(u), n) for n, v in columns.values.items()}
@@ -162,7 +162,16 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     after = f"{out}: written; fill in the names of the signals, then: {use}"
     columns_found = [line.partition("\n")[0].removeprefix("# ") for line in lines]
     about = f"{data}: {len(columns.rows)} rows at {quality.rate:.6g} Hz, time in {time!r} [{units[time]}]"
-    return "\n".join([about, *columns_found, *unread, *quality.remarks(), *recording.log_faults(), after])
+    return "\n".join(
+        [
+            about,
+            *columns_found,
+            *(f"{fault}; left out" for fault in unread),
+            *quality.remarks(),
+            *recording.log_faults(),
+            after,
+        ]
+    )
 
 
 def _text(text: str | int) -> str:
