@@ -291,10 +291,10 @@ class Location:
 
     def _open_path(self) -> IO[bytes]:
         if not os.path.isfile(self.path):  # not a device or a pipe, which may have no end
-            other = os.path.exists(self.path) and not os.path.isdir(self.path)
-            raise Problem(
-                f"{self.path}: {'expected a file, got a device or a pipe' if other else 'no such file'}"
-            )
+            if not os.path.exists(self.path):
+                raise Problem(f"{self.path}: no such file")
+            found = "a folder" if os.path.isdir(self.path) else "a device or a pipe"
+            raise Problem(f"{self.path}: expected a file, got {found}")
         try:
             return self.path.open("rb")
         except OSError as error:

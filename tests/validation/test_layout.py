@@ -71,4 +71,4 @@ def test_mistakes_name_file_place_and_what_was_expected(tmp_path: Path, text: st
 def test_a_missing_file_and_a_folder_are_told(tmp_path: Path) -> None:
     """As what they are."""
     problem(lambda: read_layout(tmp_path / "none.toml"), r"none.toml: no such file")
-    problem(lambda: read_layout(tmp_path), r"cannot be read: ")
+    problem(lambda: read_layout(tmp_path), "expected a file, got a folder")
