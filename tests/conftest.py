@@ -9,10 +9,10 @@ import contextlib
 import shutil
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import pytest
 from kit import properties
@@ -50,13 +50,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Each long test is in one shard that exists; of a part of the tests each has a number by its name."""
-    part, _, parts = config.getoption("part").partition("/")
-    items[:] = [item for item in items if crc32(item.nodeid.encode()) % int(parts) == int(part)]
+    """Each long test is in one shard that exists; of a part of the tests each shard is counted for itself."""
+    part, parts = map(int, config.getoption("part").split("/"))
+    kept, counts = list[pytest.Item](), Counter[str]()
     for item in items:
-        shards = [mark.kwargs.get("shard") for mark in item.iter_markers("long")]
-        if shards and (len(shards) > 1 or shards[0] not in SHARDS):
+        shards = [mark.kwargs.get("shard") for mark in item.iter_markers("long")] or [""]
+        if len(shards) > 1 or shards[0] not in ("", *SHARDS):
             raise pytest.UsageError(f"{item.nodeid}: expected one shard of {', '.join(SHARDS)}, got {shards}")
+        if counts[shards[0]] % parts == part:
+            kept.append(item)
+        counts[shards[0]] += 1
+    items[:] = kept
 
 
 @pytest.hookimpl(tryfirst=True)
