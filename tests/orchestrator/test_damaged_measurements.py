@@ -201,14 +201,8 @@ def virtual(file: h5py.File) -> None:
         (dataset(1, 10, external=[("other.bin", 0, 80)]), "'x': expected numbers, got values in another"),
         (virtual, "'x': expected numbers, got values in another file"),
         (dataset(1, 10**10, chunks=(1, 1000)), "GiB of samples, got variables up to 'x' of 74.5 GiB"),
-        (
-            dataset(1, 10**8, chunks=(1, 1000)),
-            "expected at most 0.488 GiB of samples, got variables up to 'x'",
-        ),
-        (
-            lambda f: f.__setitem__("a/b", f.create_group("a")),
-            "/a/b: expected a struct, got one that contains",
-        ),
+        (dataset(1, 10**8, chunks=(1, 1000)), "at most 0.488 GiB of samples, got variables up to 'x'"),
+        (lambda f: f.__setitem__("a/b", f.create_group("a")), "/a/b: expected a struct, got one that"),
         (lambda f: f.create_group("a/" * 2000), "maximum recursion depth"),
     ],
 )
@@ -354,8 +348,8 @@ def test_links_inside_a_mat_file_are_no_obstacle(tmp_path):
     columns = read_columns(mat73(tmp_path / "a.mat", change), names).values
     assert set(columns) == names
     assert columns["again.y"].tolist() == list(range(10))
-    with pytest.raises(Problem, match=r"column 'soft\.y': expected numbers, got a link to /run"):
-        read_columns(tmp_path / "a.mat", {"time", "soft.y"})
+    soft, told = {"time", "soft.y"}, r"column 'soft\.y': expected numbers, got a link to /run"
+    problem(lambda: read_columns(tmp_path / "a.mat", soft), told)
 
 
 END, NEXT = "expected its end, got none in the file", "expected its end, got none before the next row"
