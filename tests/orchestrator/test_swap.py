@@ -276,9 +276,9 @@ def test_the_command_line_swaps(capsys, fmus):
 
 
 def test_ports_of_the_system_are_checked_and_converted(bench, fmus):
-    """An input and an output of the outermost system; what an input of it feeds is needed, optional or not."""
+    """Input and output of the outermost system; what an input of it feeds is needed, optional or not."""
     seeing = with_swaps(bench, {"g": optional(fmus["gain"], "seeing", "u")})
-    blind, bare = (edited(fmus["gain"], *names) for names in (("blind", renamed("u")), ("bare", renamed("y"))))
+    blind, bare = (edited(fmus["gain"], f"no_{n}", renamed(n)) for n in "uy")
     problem(lambda: with_swaps(seeing, {"g": blind}), r"expected input u \[m\], got none")
     problem(lambda: with_swaps(bench, {"g": bare}), r"expected output y \[m\], got none$")
     units = ('unit="m"', 'unit="mm"'), ('name="m"><BaseUnit m="1"', 'name="mm"><BaseUnit m="1" factor="1e-3"')
