@@ -73,7 +73,6 @@ FORCE = 1000.0  # N/s, or N/s2
 OMEGA = np.sqrt(1000.0)  # rad/s of a free mass, which begins at -100 m/s
 IDLE = V("idle", "input", "m", 0.0, place=6)  # a source with an input is no free one: it may hear from others
 
-
 # the first and the second integral of a force, at a time
 INTEGRALS = {
     "FORCE t": lambda t: (FORCE * t**2 / 2, FORCE * t**3 / 6),
