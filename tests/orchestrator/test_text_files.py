@@ -127,18 +127,13 @@ def test_words_in_a_column_of_numbers_are_gaps(name, log, capsys):
     rows = [f"{k},{cell},{'OK' if k else 'start 1'}" for k, cell in enumerate(cells)]
     path = log("\n".join([f"t [s],{name},Status", *rows]) + "\n")
     (values,) = read_recording(path).values()
-    numbers = [float(cell.split()[0]) if cell[0].isdigit() else np.nan for cell in cells]
-    factor = 1 if name == "P" else 1e5  # bar
-    np.testing.assert_array_equal(values, factor * np.array(numbers))
+    numbers = np.array([float(cell.split()[0]) if cell[0].isdigit() else np.nan for cell in cells])
+    np.testing.assert_array_equal(values, numbers * (1 if name == "P" else 1e5))  # bar
     line = f"{path}: column {name!r}: gaps in place of {told}\n"
-    assert (
-        capsys.readouterr().err
-        == f"{line}{path}: line 2: column 'Status': expected a number, got 'start 1'; left out\n"
-    )
+    line += f"{path}: line 2: column 'Status': expected a number, got 'start 1'; left out\n"
+    assert capsys.readouterr().err == line
     described = f'[time]\ncolumn = "t"\n[signals.p]\ncolumn = "{name}"\nunit = "bar"\n'
-    np.testing.assert_array_equal(
-        read_recording(log(path.read_text(), described))["p"], 1e5 * np.array(numbers)
-    )
+    np.testing.assert_array_equal(read_recording(log(path.read_text(), described))["p"], 1e5 * numbers)
     path.with_suffix(".toml").unlink()
     problem(lambda: read_trace(path), "column 'P.*: expected a number, got '")
 
@@ -185,11 +180,8 @@ def test_a_labview_file_has_times_and_units_in_its_header(columns, tmp_path):
     """With a column of times for each channel, for all or none; the file may have commas and points, too."""
     between = "\t" if columns == "Multi" else ""
     text = HEADER.format(columns=columns, between=between, end=f"{between}\t") + LABVIEW[columns]
-    commas = text.replace(",", ".").replace("\t", ",")
-    for name, content in (
-        ("tabs.lvm", text),
-        ("commas.lvm", commas.replace("Separator,Tab", "Separator,Comma")),
-    ):
+    commas = text.replace(",", ".").replace("\t", ",").replace("Separator,Tab", "Separator,Comma")
+    for name, content in (("tabs.lvm", text), ("commas.lvm", commas)):
         path = tmp_path / name
         path.write_text(content, encoding="utf-8")
         trace = read_trace(path)
@@ -197,11 +189,7 @@ def test_a_labview_file_has_times_and_units_in_its_header(columns, tmp_path):
         found = {n: (v.tolist(), trace.units[n]) for n, v in trace.items()}
         assert found == {"P 1": ([1.5e5, 2.5e5, 3.5e5], "Pa"), "U": ([-2, -3, -4], "V")}
     for old, new, told in (
-        (
-            "0,020000{between}\t0,02",
-            "0,020000{between}\t0,04",
-            "expected one Delta_X, got 0,020000, 0,040000",
-        ),
+        ("{between}\t0,02", "{between}\t0,04", "expected one Delta_X, got 0,020000, 0,040000"),
         ("Delta_X", "Rate", "got one without X0, Delta_X or names"),
         ("X0\t", "***End_of_Header***\nX0\t", "expected one header of channels, got 2"),
     ):
