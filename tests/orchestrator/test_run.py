@@ -76,18 +76,17 @@ def test_time_does_not_drift():
     assert mock.span == (0.1, max(result.trace.time[-1], starts[-1] + lengths[-1]))
 
 
-def test_time_starts_and_ends_where_it_is_told(fmus):
-    """A sine that begins at 3 s, in an FMU that checks times without tolerance; the end is a whole step."""
+def test_time_starts_and_ends_where_it_is_told(fmus, oscillator):
+    """A sine that begins at 3 s, in an FMU that checks times without tolerance; the end is a whole step.
+
+    Without any stop time a run takes one second, as in FMPy, with a note.
+    """
     trace = run(str(fmus["source"]), step=0.1, start=3.0, stop=63.0).trace
     # same argument, another library's sine: a few ulp
     np.testing.assert_allclose(trace["source.y"], np.sin(trace.time), atol=1e-15)
     result, _ = mocked(step=0.1, stop=0.25)
     np.testing.assert_array_equal(result.trace["m.y"], [0, 1, 2])
     assert result.card.notes == ("0.25 s is not a multiple of the step: the run ends at 0.2 s",)
-
-
-def test_without_any_stop_time_a_run_takes_one_second(oscillator):
-    """As in FMPy, with a note."""
     result = run(oscillator, start=2.0, step=0.1)
     assert (result.trace.time[0], result.trace.time[-1]) == (2.0, 3.0)
     note = "neither the system nor its FMUs suggest a stop time: the run ends at 3 s"
@@ -274,37 +273,24 @@ def test_settings_together_and_by_themselves(oscillator):
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("given", "option", "value", "got"),
     [
-        (
-            {"execution": Execution(tolerance=1e-8), "tolerance": 1e-4},
-            "tolerance: expected one value, got 0.0001 and Execution(tolerance=1e-08)",
-        ),
-        (
-            {"execution": Execution(time_limit=60.0, progress=True), "time_limit": "60 s"},
-            "time_limit: expected one value, got 60.0 and Execution(time_limit=60.0)",
-        ),
-        (
-            {"record": Record(["a.x"], step=0.2), "record_step": 0.5},
-            "record_step: expected one value, got 0.5 and Record(step=0.2)",
-        ),
-        (
-            {"master": Coupling("hermite", tolerance=1e-8), "coupling_tolerance": 1e-6},
-            "coupling_tolerance: expected one value, got 1e-06 and Coupling(tolerance=1e-08)",
-        ),
-        (
-            {"master": Coupling("jacobi", 2), "order": 3},
-            "order: expected one value, got 3 and Coupling(order=2)",
-        ),
+        (Execution(tolerance=1e-8), "tolerance", 1e-4, "0.0001 and Execution(tolerance=1e-08)"),
+        (Execution(time_limit=9.0, progress=True), "time_limit", "9 s", "9.0 and Execution(time_limit=9.0)"),
+        (Record(["a.x"], step=0.2), "record_step", 0.5, "0.5 and Record(step=0.2)"),
+        (Coupling("hermite", tolerance=1e-8), "coupling_tolerance", 1e-6, "1e-06 and Coupling(tolerance=1e-08)"),
+        (Coupling("jacobi", 2), "order", 3, "3 and Coupling(order=2)"),
     ],
 )
-def test_an_option_is_given_once(oscillator, options, message):
+def test_an_option_is_given_once(oscillator, given, option, value, got):
     """Where an object of options and the call have it, none of them wins in silence."""
-    assert problem(lambda: run(oscillator, step=0.1, stop=1.0, **options)) == message
+    name = {Execution: "execution", Record: "record", Coupling: "master"}[type(given)]
+    told = problem(lambda: run(oscillator, step=0.1, stop=1.0, **{name: given, option: value}))
+    assert told == f"{option}: expected one value, got {got}"
 
 
-def test_other_options_of_an_object_stay(oscillator):
-    """What only the call has is added to it."""
+def test_an_option_of_the_call_is_added_to_those_of_an_object(oscillator):
+    """The others stay."""
     options = {"execution": Execution(error_estimate=True), "tolerance": 1e-4, "record": Record(["a.x"])}
     result = run(oscillator, step=0.1, stop=1.0, record_step=0.5, **options)
     assert len(result.trace.time) == 3
