@@ -278,7 +278,7 @@ def test_settings_together_and_by_themselves(oscillator):
         (Execution(tolerance=1e-8), "tolerance", 1e-4, "0.0001 and Execution(tolerance=1e-08)"),
         (Execution(time_limit=9.0, progress=True), "time_limit", "9 s", "9.0 and Execution(time_limit=9.0)"),
         (Record(["a.x"], step=0.2), "record_step", 0.5, "0.5 and Record(step=0.2)"),
-        (Coupling("hermite", tolerance=1e-8), "coupling_tolerance", 1e-6, "1e-06 and Coupling(tolerance=1e-08)"),
+        (Coupling("hermite", tolerance=0.1), "coupling_tolerance", 0.2, "0.2 and Coupling(tolerance=0.1)"),
         (Coupling("jacobi", 2), "order", 3, "3 and Coupling(order=2)"),
     ],
 )

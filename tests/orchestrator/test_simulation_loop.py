@@ -165,7 +165,7 @@ def test_the_code_compiles_for_other_systems(tmp_path, target):
     """Without a warning; headers of other systems have other names."""
     flags = [flag for flag in c_library.FLAGS if flag != "-shared"]
     for source in c_library.sources():
-        command = [sys.executable, "-m", "ziglang", "cc", "-target", target, *flags, "-o", tmp_path / "made.o"]
+        command = [sys.executable, "-m", "ziglang", "cc", "-target", target, *flags, "-o", tmp_path / "a.o"]
         done = subprocess.run([*command, "-c", source], cwd=c_library.FOLDER, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
 
