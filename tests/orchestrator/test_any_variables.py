@@ -90,13 +90,6 @@ def test_a_transformation_of_whole_numbers_keeps_all_64_bits(fmus3):
     assert replace(connection, map=LinearTransformation(0.5, 1.0)).carried(3, real) == 2.5
 
 
-def test_no_boolean_feeds_an_enumeration(each):
-    """Which need not have an item 0."""
-    files = {"p": each["types"], "q": each["types"]}
-    message = problem(lambda: assemble(files, ["p.bool_out -> q.enum_in"]))
-    assert "variables of type Boolean and Enumeration cannot be connected" in message
-
-
 def test_what_64_bits_with_a_sign_do_not_hold_is_refused(fmus3, both):
     """By name; never truncated."""
     outcome = both(assemble({"p": fmus3["wide"]}), set={"p.uint64_in": 2**63})
