@@ -141,8 +141,7 @@ def test_fmi2_knows_arm_by_its_tuple(fmus, monkeypatch, opened):
     monkeypatch.setattr(library, "FMI2_PLATFORM", "linux64")
     assert library.platform_folders(2) == ["aarch64-linux", "linux64"]
     opened(fmus.make("gain", "arm", platform="aarch64-linux")).close()
-    with pytest.raises(Problem, match="expected binaries/aarch64-linux/windows"):
-        opened(fmus.make("gain", "windows", platform="win64"))
+    problem(lambda: opened(fmus.make("gain", "windows", platform="win64")), "binaries/aarch64-linux/windows")
     monkeypatch.setattr(library, "PLATFORM_TUPLE", "x86_64-linux")
     assert library.platform_folders(2) == ["linux64", "x86_64-linux"]
 

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from kit.any_fmu import description
 from kit.any_fmu.description import V
 from kit.mistakes import problem
 from kit.ssp import UNITS, connector, gain, inline, real, second, ssd, system, wire
@@ -71,8 +72,6 @@ def test_a_difference_does_not_become_a_temperature(each, zip_ssp):
 @pytest.mark.parametrize("units", [("odd", "m"), ("m", "odd"), ("odd", "Pa")])
 def test_without_a_base_unit_values_are_passed_unchanged(each, units, monkeypatch):
     """Whatever the name looks like: here that of an hour; with a note."""
-    from kit.any_fmu import description
-
     for name in ("h", "%", "C", "g"):
         monkeypatch.setitem(description.BASE, name, {})
         both = [name if u == "odd" else u for u in units]

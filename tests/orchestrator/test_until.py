@@ -118,9 +118,8 @@ def test_the_first_interrupt_ends_a_function_that_hangs(oscillator, whole, hang,
         run(oscillator, **STEPS, **options)
     rows = 50 + ("until" in options)  # that of the call is recorded before `until`, and after a master
     np.testing.assert_array_equal(interrupted.value.result.trace.time, whole.time[:rows])
-    assert interrupted.value.result.card.simulated == pytest.approx(
-        whole.time[rows - 1], rel=1e-12
-    )  # rounding
+    simulated = interrupted.value.result.card.simulated
+    assert simulated == pytest.approx(whole.time[rows - 1], rel=1e-12)  # rounding
     assert run(oscillator, **STEPS).trace == whole
 
 

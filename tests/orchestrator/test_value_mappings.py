@@ -169,7 +169,7 @@ def test_mappings_one_after_the_other(make):
 
 
 def test_parameters_are_mapped_by_their_type(make):
-    """With values of any spelling; what the mapping does not name is not set, with a note."""
+    """With values of any spelling; what the mapping does not name is not set, with a note, as is a misspelling."""
     inside = entries(
         ("n", "int_in", mapping("Integer", ("4", "-4"))),
         ("on", "bool_in", mapping("Boolean", ("true", "false"))),
@@ -182,6 +182,8 @@ def test_parameters_are_mapped_by_their_type(make):
     loaded = load(path)
     assert loaded.components["p"].start == {"int_in": -4, "bool_in": False, "enum_in": 2, "label": "you"}
     assert [n.partition(": ")[2] for n in loaded.notes] == ["left out, not in the mapping: gain, int_in"]
+    misspelt = values(entries(("m", "int_in")), n=("Integer", 1))
+    assert "the parameter set has no 'm'" in load(make([part("p", misspelt)], [])).notes[0]
 
 
 OTHER, HALF = mapping("Integer", (1, 2)), '<ssc:LinearTransformation factor="0.5"/>'
@@ -200,12 +202,6 @@ def test_parameter_mappings_that_cannot_be_are_told(make, pairs, told):
     """In one line."""
     given = values(entries(*pairs), n=("Integer", 1), m=("Integer", 2))
     problem(partial(load, make([part("p", given)], [])), f"{told}$")
-
-
-def test_a_mapping_of_a_parameter_that_is_not_there(make):
-    """A misspelt source is told."""
-    given = values(entries(("m", "int_in")), n=("Integer", 1))
-    assert "the parameter set has no 'm'" in load(make([part("p", given)], [])).notes[0]
 
 
 def test_items_that_no_enumeration_has_are_told(make):
