@@ -112,9 +112,7 @@ def test_it_stays_stable_where_held_inputs_run_away(moving, worst):
 
 
 @pytest.mark.parametrize(("coupling", "expected"), [(TWO, 4), (Coupling("gauss-seidel", 3), 2)])
-def test_slopes_that_are_missing_at_the_start_are_computed_from_values(
-    fmus, worst, order, coupling, expected
-):
+def test_slopes_that_are_missing_at_the_start_follow_from_values(fmus, worst, order, coupling, expected):
     """Some FMUs estimate slopes of outputs from their last step, and give NaN before the first one."""
     masses = (fmus.make(m, f"{m}_late", interpolates=True, also=[LATE]) for m in ("mass_a", "mass_b"))
     late = oscillator_of(*masses).with_start({"a.late": 1, "b.late": 1})

@@ -90,10 +90,8 @@ def test_a_batch_is_a_mapping(built):
 def test_a_comparison_has_a_picture_and_a_table():
     """The table names the worst signal; rounding is no difference, and has no panel."""
     noise = trace(**{"arm.boom_angle": SIGNALS["arm.boom_angle"] * (1 + 1e-14)})
-    other = trace(
-        **{"arm.boom_angle": 1.1 * SIGNALS["arm.boom_angle"], "arm.boom_speed": np.sin(TIME) + 1e-15}
-    )
-    found = compare({"a": trace(), "b": other})
+    other = {"arm.boom_angle": 1.1 * SIGNALS["arm.boom_angle"], "arm.boom_speed": np.sin(TIME) + 1e-15}
+    found = compare({"a": trace(), "b": trace(**other)})
     assert "arm.boom_angle" in found._repr_html_()
     axes = found.plot().axes
     titles = [text.get_text() for a in axes for text in a.findobj(Text)]
