@@ -53,13 +53,8 @@ WAYS = [(reference, 20.0, {"record_step": 0.1}, 1e-9), (run, 5.0, {"step": 0.05}
 def test_an_oscillator_that_is_not_linear_is_that_of_another_solver(fmu, version, solve, stop, steps, error):
     """Van der Pol's from (2, 0), in one piece or in steps, against an explicit Runge-Kutta method."""
     result = solve(fmu("swing", version), stop=stop, **steps)
-    exact = solve_ivp(
-        lambda _, x: [x[1], (1 - x[0] ** 2) * x[1] - x[0]],
-        *((0.0, stop), [2.0, 0.0], "DOP853"),
-        t_eval=result.time,
-        rtol=1e-13,
-        atol=1e-14,
-    ).y
+    tight = {"method": "DOP853", "t_eval": result.time, "rtol": 1e-13, "atol": 1e-14}
+    exact = solve_ivp(lambda _, x: [x[1], (1 - x[0] ** 2) * x[1] - x[0]], (0.0, stop), [2.0, 0.0], **tight).y
     found = [result[f"swing{version}.{name}"] for name in ("x", "v")]
     np.testing.assert_allclose(found, exact, rtol=0, atol=error)
 
@@ -197,9 +192,8 @@ def test_an_fmu_for_co_simulation_only_is_co_simulated(fmu_dir, tmp_path):
     truth = reference(fmu_dir / "harvester.ssp", monolithic.STROKES, **options)
     result = reference(fmu_dir / "harvester.ssp", monolithic.STROKES, swap={"manipulator": fmu}, **options)
     note = result.card.notes[-1]
-    assert note.startswith(
-        "no monolithic solution, but a co-simulation with a small step: estimated RMS error"
-    )
+    told = "no monolithic solution, but a co-simulation with a small step: estimated RMS error"
+    assert note.startswith(told)
     assert note.endswith(f"{fmu}: expected an FMU for model exchange, got one for co-simulation only")
     found = monolithic.differences(truth, result.trace)
     estimates = {e.name: estimated_error(e) for e in result.card.errors}
