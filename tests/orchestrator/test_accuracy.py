@@ -159,10 +159,7 @@ def test_a_stroke_that_begins_in_the_last_look_is_no_jump(last, jumps):
 
 
 def test_looks_at_sources_that_are_none_and_looks_that_fail(fmus):
-    """What a scenario drives has the course of the scenario; an interrupted look ends the command.
-
-    After a look that fails nobody knows what the source does later, so the accuracy is unknown.
-    """
+    """What a scenario drives is no source; after a failed look nobody knows what the source does later."""
     system = assemble({"g": fmus["gain"], "d": fmus["drift"]}, ["g.y -> d.u"])
     assert looked_at(system, 1.0)[1] is not None
     assert looked_at(system, 1.0, {"time": RAMP["time"], "g.u": RAMP["u"]})[1] is None
@@ -171,7 +168,7 @@ def test_looks_at_sources_that_are_none_and_looks_that_fail(fmus):
     looks.begin(RowLayout(("s.y",), {}))
     search.heed(RunEnd(0.0, problem=Problem("broke")), looks)
     assert search._hidden == ["s.y"]
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt):  # which ends the command
         search.heed(RunEnd(0.0, interrupted=True), looks)
 
 
@@ -231,10 +228,8 @@ def test_the_next_step(open_oscillator, asked, error, ratio):
 
 
 def test_adaptive_steps_follow_where_equal_ones_would_be_too_short(open_oscillator):
-    """At half of the accuracy beyond 50 times that error; then by the aim of 0.35, at most by half.
-
-    Equal steps have a guard of 1 %, which divides those where a signal jumps, if the FMUs can go back.
-    """
+    """At half of the accuracy beyond 50 times that error; then by the aim of 0.35, at most by half."""
+    # equal steps are divided where a signal jumps, by a guard of 1 %, if the FMUs can go back
     for adapts, guard in ((True, 0.01), (False, None)):
         assert searched(open_oscillator, 1e-3, 5.0, adapts=adapts).coupling.guard == guard
     for further, adaptive in (((), 5e-4), ((0.6,), 2.5e-4), ((1.4,), 1.25e-4), ((35.0,), 5e-5)):

@@ -124,11 +124,9 @@ def integrals(fmus):
 
 
 def test_bad_steps(integrals):
-    """They are repeated, counted, not recorded; where an FMU cannot go back only the next step is shorter.
-
-    There the first one is a thousandth of the given step, which could not be taken back if it were too long.
-    """
+    """They are repeated, counted, not recorded; where an FMU cannot go back only the next step is shorter."""
     master = Coupling("jacobi", adaptive=1e-3)
+    # the first step that could not be taken back is a thousandth of the given one
     first = [run(s, PUSH, master=master, step=0.05, stop=0.2).trace.time[1] for s in integrals]
     assert first == pytest.approx([0.05, 5e-5], rel=1e-15)  # one product
     result, stuck = (run(s, PUSH, master=master) for s in integrals)

@@ -225,10 +225,8 @@ def test_a_held_line_is_off_by_its_way(value, slope, before, h):
 
 
 def test_corners_of_autonomous_sources_and_the_largest_magnitude():
-    """From a state it is a cubic; errors near zero are relative to the largest magnitude ever.
-
-    From the end of its motion on a free source is a line, whatever it did before.
-    """
+    """From a state it is a cubic; errors near zero are relative to the largest magnitude ever."""
+    # from the end of its motion on a free source is a line, whatever it did before
     stopped = Input(autonomous=True, value=2.0, value_end=2.0, slope_before=1.0, chord_before=1.0)
     stopped.interpolate(3, 0.5, 0.5)
     assert stopped.deviation(0.5, 0) == 0.0

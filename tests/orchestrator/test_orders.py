@@ -92,7 +92,7 @@ def test_fmus_that_hold_their_inputs_gain_from_slopes(oscillators, measured, mas
     assert measured(system, Coupling(master, n)) == pytest.approx(2, abs=NEAR)
     assert not run(system, master=master, step=0.1, stop=0.1).card.notes
     (blind, _) = run(system, master=Coupling(master, n), step=1e-3, stop=1e-2).card.notes
-    assert blind.startswith("input derivatives from differences of values, because the FMUs provide no output")
+    assert blind.startswith("input derivatives from differences of values, because the FMUs provide no")
     assert blind.endswith(" derivatives: a.force")
 
 

@@ -77,17 +77,14 @@ def test_time_does_not_drift():
 
 
 def test_time_starts_and_ends_where_it_is_told(fmus, oscillator):
-    """A sine that begins at 3 s, in an FMU that checks times without tolerance; the end is a whole step.
-
-    Without any stop time a run takes one second, as in FMPy, with a note.
-    """
+    """A sine that begins at 3 s, in an FMU that checks times without tolerance; the end is a whole step."""
     trace = run(str(fmus["source"]), step=0.1, start=3.0, stop=63.0).trace
     # same argument, another library's sine: a few ulp
     np.testing.assert_allclose(trace["source.y"], np.sin(trace.time), atol=1e-15)
     result, _ = mocked(step=0.1, stop=0.25)
     np.testing.assert_array_equal(result.trace["m.y"], [0, 1, 2])
     assert result.card.notes == ("0.25 s is not a multiple of the step: the run ends at 0.2 s",)
-    result = run(oscillator, start=2.0, step=0.1)
+    result = run(oscillator, start=2.0, step=0.1)  # without any stop time: one second, as in FMPy, with a note
     assert (result.trace.time[0], result.trace.time[-1]) == (2.0, 3.0)
     note = "neither the system nor its FMUs suggest a stop time: the run ends at 3 s"
     assert note in result.card.notes

@@ -115,10 +115,7 @@ def test_what_does_not_fit_is_told_in_one_line(fmus, oscillator, changes, messag
 
 
 def test_an_input_that_an_fmu_does_not_use_may_be_missing(fmus, oscillator):
-    """With a note; refused if another could be meant; an additional input keeps its start value.
-
-    A cut is the way out, but not where power would be lost: without one of its connections a bond is cut.
-    """
+    """With a note; refused if another could be meant, with a way out; an additional input keeps its start."""
     loose = edited(fmus["mass_b"], "loose", renamed("force"), caused("other", "local"))
     other = edited(fmus["mass_b"], "other", renamed("force"))
     told = r"got none \(it has other; to do without: --cut b.force\)$"
@@ -129,6 +126,7 @@ def test_an_input_that_an_fmu_does_not_use_may_be_missing(fmus, oscillator):
     assert f"{loose} has no force: it does not use what the system would send there" in result.card.notes
     assert np.ptp(result.trace["b.x"]) > 0  # m: it swings by its own spring
     np.testing.assert_array_equal(result.trace["b.x"], alone.trace["b.x"])
+    # no cut is suggested where power would be lost: without one of its two connections a bond is cut
     bond = assemble({"k": fmus["spring"], "b": fmus["mass_b"]}, ["b.v -> k.v", "k.force -> b.force"])
     problem(lambda: with_swaps(bond, {"b": other}), r"expected input force \[N\], got none$")
 

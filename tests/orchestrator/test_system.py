@@ -120,10 +120,7 @@ def test_values_must_fit_the_type(chatter, values, message):
 
 
 def test_types_match_at_connections(each):
-    """No silent rounding, and no Boolean for an enumeration, which need not have an item 0.
-
-    test_any_variables.py drives them all by scenarios, and refuses texts.
-    """
+    """No silent rounding; no Boolean for an enumeration, which need not have an item 0."""
     files = {"p": each["types"], "q": each["types"]}
     told = "variables of type {} cannot be connected"
     problem(lambda: assemble(files, ["p.real_out -> q.int_in"]), told.format("Real and Integer"))
