@@ -192,9 +192,8 @@ def test_an_fmu_of_arrays_only_is_told(tmp_path):
     """It has nothing that could be exchanged."""
     with zipfile.ZipFile(tmp_path / "arrays.fmu", "w") as archive:
         archive.write(Path(__file__).with_suffix(".xml"), "modelDescription.xml")
-    message = problem(lambda: load(tmp_path / "arrays.fmu"))
-    assert "arrays.fmu: input is an array of shape (2): " in message
-    assert message.endswith(", arrays are not supported")
+    told = r"arrays.fmu: input is an array of shape \(2\): .*, arrays are not supported$"
+    problem(lambda: load(tmp_path / "arrays.fmu"), told)
 
 
 def test_the_experiment_of_a_single_fmu_is_run(each):

@@ -16,6 +16,9 @@ def test_a_signal_waits_for_the_next_check():
             interrupts.check()
         interrupts.check()  # once is enough
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(RuntimeError), DeferredInterrupts():  # and also after an error
+        raise RuntimeError
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_a_signal_at_the_very_end_and_a_second_one_are_handled():
@@ -64,13 +67,6 @@ def test_a_signal_is_handled_at_once_in_a_function_of_the_user():
             with pytest.raises(KeyboardInterrupt):
                 deferred(second_at_once, *calls)
     assert handled == 2 * ["nested", "after it"]
-
-
-def test_an_error_inside_passes():
-    """The handlers come back after an error, too."""
-    with pytest.raises(RuntimeError), DeferredInterrupts():
-        raise RuntimeError
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no such signal")

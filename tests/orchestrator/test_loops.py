@@ -198,9 +198,8 @@ def test_loops_are_solved_in_initialisation_mode(kind):
 def test_a_loop_without_solution_is_named(kind):
     """One line with the connections: y = y + 1; an output that is NaN is named."""
     system = assemble({n: kind.make("gain") for n in "pq"}, PAIR, {"p.offset": 1.0})
-    message = problem(lambda: run(system, **HERE))
-    assert message.startswith("algebraic loop ")
-    assert all(part in message for part in (*PAIR, ": no solution at t = 0 s"))
+    message = problem(lambda: run(system, **HERE), "^algebraic loop .*: no solution at t = 0 s")
+    assert all(part in message for part in PAIR)
     odd = forced(kind, float("nan"), 0.5)
     problem(lambda: run(odd, **HERE), r"loop .*: no solution at t = 0 s: p\.y is nan")
 

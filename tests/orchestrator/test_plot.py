@@ -1,6 +1,5 @@
 """Figures of a run, and values and inputs as users write them: units, mappings, data frames, MATLAB files."""
 
-import json
 import os
 import shutil
 from pathlib import Path
@@ -162,18 +161,6 @@ def test_a_matlab_file_of_another_tool_is_a_scenario(tmp_path):
     scipy.io.savemat(tmp_path / "t.mat", {"command": np.arange(3.0)})
     with pytest.raises(Problem, match=r"t.mat: expected the first column to be named 'time', got 'command'"):
         read_trace(tmp_path / "t.mat")
-
-
-@pytest.mark.parametrize("suffix", [".mat", ".parquet"])
-@pytest.mark.usefixtures("here")
-def test_exported_runs_are_compared(fmus, suffix, capsys):
-    """`compare` reads what `run --out` wrote, with its units."""
-    assert main(["run", str(fmus["mass_b"]), "--stop", "0.1", "--out", f"a{suffix}"]) == 0
-    for end in (suffix, ".run.json"):
-        shutil.copy(f"a{end}", f"b{end}")
-    assert main(["compare", f"a{suffix}", f"b{suffix}"]) == 0
-    assert read_trace(f"a{suffix}").units == json.loads(Path("a.run.json").read_text())["units"]
-    assert "no units" not in capsys.readouterr().out
 
 
 # ---- units of values
