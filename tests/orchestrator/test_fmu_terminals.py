@@ -67,7 +67,7 @@ def test_a_variable_of_the_same_name_is_no_terminal(joined):
 @pytest.mark.parametrize(
     ("ours", "theirs", "wire", "message"),
     [
-        (A, terminal(B | {"speed": "v"}), "a.rod -> b.rod", "the same members in both, got speed in one of them"),
+        (A, terminal(B | {"speed": "v"}), "a.rod -> b.rod", "the same members in both, got speed in one of"),
         (A, terminal(B, kind="shaft"), "a.rod -> b.rod", "one kind, got rod (plug) and shaft (plug)"),
         (A, terminal(B, rule="bus"), "a.rod -> b.rod", "one kind, got rod (plug) and rod (bus)"),
         (A, terminal(B), "a.rod -> b.x", "two terminals, got a.rod and b.x"),

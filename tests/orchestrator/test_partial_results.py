@@ -97,7 +97,7 @@ def test_a_long_trace_is_read_from_its_file(tmp_path, monkeypatch):
     trace = file.trace
     np.testing.assert_array_equal(trace["b"], -np.arange(200) / 3)
     assert (len(trace.time), trace.units, file.largest("b")) == (200, {"a": "m"}, (-199 / 3, 199.0))
-    path = tmp_path / "t.partial.csv"  # whose last row counts only with its line break: 1.2 may have been 1.25
+    path = tmp_path / "t.partial.csv"  # its last row counts only with its line break: 1.2 may have been 1.25
     path.write_text("time,a\n0.0,1.0\n1.0,1.5\n2.0,1.2", encoding="utf-8")
     assert read_trace(path).time.tolist() == [0.0, 1.0]
 

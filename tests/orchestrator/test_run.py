@@ -84,7 +84,7 @@ def test_time_starts_and_ends_where_it_is_told(fmus, oscillator):
     result, _ = mocked(step=0.1, stop=0.25)
     np.testing.assert_array_equal(result.trace["m.y"], [0, 1, 2])
     assert result.card.notes == ("0.25 s is not a multiple of the step: the run ends at 0.2 s",)
-    result = run(oscillator, start=2.0, step=0.1)  # without any stop time: one second, as in FMPy, with a note
+    result = run(oscillator, start=2.0, step=0.1)  # without any stop time: one second, as in FMPy, and a note
     assert (result.trace.time[0], result.trace.time[-1]) == (2.0, 3.0)
     note = "neither the system nor its FMUs suggest a stop time: the run ends at 3 s"
     assert note in result.card.notes

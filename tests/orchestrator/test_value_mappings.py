@@ -169,7 +169,7 @@ def test_mappings_one_after_the_other(make):
 
 
 def test_parameters_are_mapped_by_their_type(make):
-    """With values of any spelling; what the mapping does not name is not set, with a note; a misspelling has one."""
+    """With values of any spelling; what the mapping does not name, or misspells, is not set, with a note."""
     inside = entries(
         ("n", "int_in", mapping("Integer", ("4", "-4"))),
         ("on", "bool_in", mapping("Boolean", ("true", "false"))),
