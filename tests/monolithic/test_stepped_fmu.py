@@ -30,16 +30,6 @@ def begun(fmu):
 # ---- alone
 
 
-@pytest.mark.parametrize(("version", "step"), [(2, 0.3), (3, 0.5)])
-def test_time_events_are_at_their_times_and_may_end_the_simulation(fmu, version, step):
-    """Inside a step, at its end, and at the end of the run."""
-    name = f"counter{version}"
-    result = run(fmu("counter", version), stop=9.0, step=step, set={f"{name}.last": 3})
-    assert result[f"{name}.count"].tolist() == np.floor(result.trace.time + 1e-9).tolist()
-    assert result.trace.time[-1] == 3.0
-    assert "the FMU requests the end of the simulation at t = 3 s" in result.card.notes[-1]
-
-
 def test_a_step_event_is_that_of_the_fmu(fmu):
     """x' = 1 - x; after a solver's step to x > 0.3 the FMU sets x to 0."""
     result = run(fmu("lag", 2), stop=1.0, step=0.01, set={"lag2.u": 1.0, "lag2.limit": 0.3})
