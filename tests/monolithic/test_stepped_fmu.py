@@ -194,9 +194,8 @@ def test_model_exchange_has_the_coupling_error_of_co_simulation(fmu_dir, master)
     assert max(found.values()) < 1e-6, max(found, key=found.get)
 
 
-@pytest.mark.parametrize(
-    ("master", "step"), [pytest.param(*case, marks=shards.machine) for case in STEPS.items()]
-)
+@shards.machine
+@pytest.mark.parametrize(("master", "step"), STEPS.items())
 def test_a_mixed_system_is_the_monolithic_solution(fmu_dir, master, step):
     """The steps are those at which the masters are so exact."""
     system = load(fmu_dir / "harvester.ssp").in_kind("ModelExchange", "manipulator")

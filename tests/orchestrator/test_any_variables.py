@@ -93,22 +93,15 @@ def test_a_transformation_of_whole_numbers_keeps_all_64_bits(fmus3):
 @pytest.mark.parametrize("master", MASTERS)
 def test_narrower_types_feed_wider_ones(each, both, master):
     """Boolean to Integer and Real, Integer and Enumeration to Real, with a transformation."""
-    wires = [
-        ("p.int_out", "q.real_in", 0.5, 1.0),
-        ("p.bool_out", "q.int_in", 3, -1),
-        ("p.enum_out", "r.real_in", 2.0, 0.0),
-        ("p.bool_out", "r.int_in"),
-    ]
+    wires = [("p.int_out", "q.real_in", 0.5, 1.0), ("p.bool_out", "q.int_in", 3, -1)]
+    wires += [("p.enum_out", "r.real_in", 2.0, 0.0), ("p.bool_out", "r.int_in")]
     system = assemble({"p": each["types"], "q": each["types"], "r": each["types"]}, wires)
     moved = {"p.int_in": [3.0, 7, 7], "p.bool_in": [0.0, 1, 1], "p.enum_in": [1.0, 1, 2]}
     rows = Trace(np.array([0.0, 0.5, 1.0]), {n: np.array(v) for n, v in moved.items()})
     trace = both(system, master, scenario=rows, step=0.5).result.trace
-    for name, values in {
-        "q.real_in": 0.5 * trace["p.int_out"] + 1,
-        "q.int_in": 3 * trace["p.bool_out"] - 1,
-        "r.real_in": 2 * trace["p.enum_out"],
-        "r.int_in": trace["p.bool_out"],
-    }.items():
+    sent = {"q.real_in": 0.5 * trace["p.int_out"] + 1, "q.int_in": 3 * trace["p.bool_out"] - 1}
+    sent |= {"r.real_in": 2 * trace["p.enum_out"], "r.int_in": trace["p.bool_out"]}
+    for name, values in sent.items():
         np.testing.assert_array_equal(trace[name], values)
         assert np.ptp(values) > 0
 

@@ -195,9 +195,8 @@ def test_the_command_prints_and_writes(capsys):
     assert "wall time per simulated second [ms]" in printed
     with Path("build/convergence/convergence.csv").open(encoding="utf-8", newline="") as file:
         lines = list(csv.DictReader(file))
-    assert [(line["setting"], float(line["step [s]"])) for line in lines] == [
-        (f"jacobi order {order}", step) for order in range(3) for step in (0.005, 0.01)
-    ]
+    expected = [(f"jacobi order {order}", step) for order in range(3) for step in (0.005, 0.01)]
+    assert [(line["setting"], float(line["step [s]"])) for line in lines] == expected
     found = numbers()
     assert found["groups"] == {"position": ["a.x", "b.x"]}
     assert len(found["runs"][0]["walls [s]"]) == 2

@@ -171,12 +171,9 @@ def test_whoever_names_an_array_is_told(fmus3, name):
     """In a start value, a recorded signal, a column of a scenario or a connection."""
     fmu, port = fmus3.make("gain", "mixed", more=ARRAY), f"mixed.{name}"
     column = Trace(np.array([0.0, 1.0]), {port: np.zeros(2)})
-    for message in (
-        refusal(fmu, {port: 1.0}),
-        refusal(fmu, record=[port]),
-        refusal(fmu, scenario=column),
-        problem(lambda: assemble({"s": fmus3["source"], "mixed": fmu}, [f"s.y -> {port}"])),
-    ):
+    wired = problem(lambda: assemble({"s": fmus3["source"], "mixed": fmu}, [f"s.y -> {port}"]))
+    runs = refusal(fmu, {port: 1.0}), refusal(fmu, record=[port]), refusal(fmu, scenario=column)
+    for message in (*runs, wired):
         assert f"{port}: expected a scalar number or text, got a" in message
         assert message.endswith("not supported")
 

@@ -41,12 +41,9 @@ def test_offsets_do_not_apply_to_differences(pair):
 
 def test_differences_through_connectors_of_a_file(pair, zip_ssp):
     """Which cannot say that they are differences: their FMUs do, at inputs, outputs and in parameter sets."""
-    inner = system(
-        [gain("b", inline(real("offset", 5, "degC")), "b.fmu")],
-        [wire("u", "b.u"), wire("b.y", "y")],
-        connector("u", "input", "degC") + connector("y", "output", "degC"),
-        name="inner",
-    )
+    b = gain("b", inline(real("offset", 5, "degC")), "b.fmu")
+    ports = connector("u", "input", "degC") + connector("y", "output", "degC")
+    inner = system([b], [wire("u", "b.u"), wire("b.y", "y")], ports, name="inner")
     wires = [wire("u", "a.u"), wire("a.y", "inner.u"), wire("inner.y", "y")]
     ports = connector("u", "input", "K") + connector("y", "output", "K")
     top = system([inner, gain("a", source="a.fmu")], wires, ports, inline(real("u", 3, "degC")))

@@ -216,12 +216,8 @@ def test_an_angle_of_an_experiment_is_unwrapped_with_a_line(tmp_path, capsys, un
 @pytest.mark.parametrize(
     ("delay", "error", "told"),
     [
-        (0.04, 0.0, "0.04 s later"),
-        (-0.025, 0.0, "0.025 s earlier"),
-        (0.0, 0.05, ""),
-        (0.04, 0.1, "0.04 s later"),
-        (0.04, 0.2, ""),
-        (0.004, 0.0, ""),
+        *((0.04, 0.0, "0.04 s later"), (0.04, 0.1, "0.04 s later"), (-0.025, 0.0, "0.025 s earlier")),
+        *((0.0, 0.05, ""), (0.04, 0.2, ""), (0.004, 0.0, "")),
     ],
 )
 def test_a_reference_with_late_commands_names_the_delay(delay, error, told):

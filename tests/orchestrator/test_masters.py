@@ -302,12 +302,8 @@ def test_send_takes_all_types(each):
         assert r("real_in") == 2 * p("real_out") + 1
         sent.append((p("int_out"), p("bool_out"), p("enum_out"), p("real_out")))
 
-    wires = [
-        ("p.int_out", "q.real_in", 0.5, 1.0),
-        ("p.bool_out", "q.int_in", 3, -1),
-        "p.enum_out -> q.enum_in",
-        ("p.real_out", "r.real_in", 2.0, 1.0),
-    ]
+    wires = [("p.int_out", "q.real_in", 0.5, 1.0), ("p.bool_out", "q.int_in", 3, -1)]
+    wires += ["p.enum_out -> q.enum_in", ("p.real_out", "r.real_in", 2.0, 1.0)]
     moved = {"time": [0, 0.25, 0.5], "p.int_in": [3, 5, 5], "p.bool_in": [0, 1, 1], "p.real_in": [1, 2, 3]}
     system = assemble(dict.fromkeys("pqr", each["types"]), wires)
     run(system, {**moved, "p.enum_in": [1, 2, 2]}, master=Master("m", step=sending), step=0.25, stop=0.75)

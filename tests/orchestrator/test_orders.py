@@ -66,10 +66,8 @@ def test_hermite_has_order_four(oscillators, measured, passes, follow):
 
 def test_rates_of_fmi_3_do_as_well(oscillators):
     """The line by rate inputs in FMI 3.0 is the line by input derivatives in FMI 2.0, bit for bit."""
-    lines, rates = (
-        run(oscillators(*kind), master=CONVERGED, step=3.2e-2, stop=1.0).trace
-        for kind in (("lines", 2), ("rates", 3))
-    )
+    systems = oscillators("lines", 2), oscillators("rates", 3)
+    lines, rates = (run(s, master=CONVERGED, step=3.2e-2, stop=1.0).trace for s in systems)
     for name in ("a.x", "b.x"):
         np.testing.assert_array_equal(lines[name], rates[name])
 

@@ -335,9 +335,7 @@ def test_without_start_wires_the_machine_falls(system, fmu_dir):
 def test_an_actuator_may_lack_start_wires(system, fmu_dir, tmp_path):
     """An FMU without inputs for the holding forces is accepted, and the note names both."""
     ports = [f"{rod}_holding_force" for rod in ("boom", "stick")]
-    changes = [
-        change for port in ports for change in (renamed(port, f"no_{port}"), caused(f"no_{port}", "local"))
-    ]
+    changes = [c for p in ports for c in (renamed(p, f"no_{p}"), caused(f"no_{p}", "local"))]
     table = changed(fmu_dir / "boom_stick.fmu", tmp_path / "table.fmu", *changes)
     result = run(system, swap={"boom_stick": table}, stop=0.1)
     assert f"{table} has no {', '.join(ports)}: it does not use" in str(result.card.notes)

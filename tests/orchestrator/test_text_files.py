@@ -266,21 +266,17 @@ def test_a_decimal_comma_may_come_late(log):
 
 
 PLAIN = "Zeit [s];Druck [bar]\n0,0;1,5\n0,1;2,5\n"
-ABOVE = {
-    "title": "Prüfling: Harvester\nGerät;XY\n\n",
-    "commas": "Prüfer: A, B\n",
-    "wide": "Messung;Nr;7;von;9\n\n",
-}
+ABOVE = ["Prüfling: Harvester\nGerät;XY\n\n", "Prüfer: A, B\n", "Messung;Nr;7;von;9\n\n"]
 
 
-@pytest.mark.parametrize("name", ABOVE)
-def test_lines_above_the_names_are_left_out(name, log, capsys):
+@pytest.mark.parametrize("above", ABOVE, ids=["title", "commas", "wide"])
+def test_lines_above_the_names_are_left_out(above, log, capsys):
     """The names are in the last line before rows of their width; the message numbers the lines."""
-    path = log(ABOVE[name] + PLAIN)
+    path = log(above + PLAIN)
     columns = read_columns(path, None)
     found = {n: v.tolist() for n, v in columns.values.items()}
     assert found == {"Zeit [s]": [0, 0.1], "Druck [bar]": [1.5, 2.5]}
-    line = ABOVE[name].count("\n") + 1
+    line = above.count("\n") + 1
     assert columns.location(0) == f"{path}: line {line + 1}"
     assert f"the names are in line {line}\n" in capsys.readouterr().err
 

@@ -33,10 +33,8 @@ def first(whole, holds):
 @pytest.mark.parametrize(
     ("until", "holds"),
     [
-        ("a.x < -0.5", lambda x: x < -0.5),
-        ("a.x<=-50cm", lambda x: x <= -0.5),
-        ("a.x > 1e-1 m", lambda x: x > 0.1),
-        ("a.x >= 0.1", lambda x: x >= 0.1),
+        *(("a.x < -0.5", lambda x: x < -0.5), ("a.x<=-50cm", lambda x: x <= -0.5)),
+        *(("a.x > 1e-1 m", lambda x: x > 0.1), ("a.x >= 0.1", lambda x: x >= 0.1)),
     ],
 )
 def test_a_run_ends_at_the_first_row_where_the_condition_holds(oscillator, whole, isolate, until, holds):

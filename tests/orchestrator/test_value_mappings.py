@@ -152,16 +152,10 @@ def test_outputs_of_the_system_are_mapped(make):
 
 def test_mappings_one_after_the_other(make):
     """Through the connectors of a system inside: a line, a table, a table; as each alone, in turn."""
-    inner = system(
-        [part("q")],
-        [wire("u", "q.int_in", mapping("Integer", (5, 50), (8, 1), (7, 70)))],
-        port("u", "input"),
-        name="inner",
-    )
+    first, second = mapping("Integer", (3, 8), (9, 7)), mapping("Integer", (5, 50), (8, 1), (7, 70))
+    inner = system([part("q")], [wire("u", "q.int_in", second)], port("u", "input"), name="inner")
     line = wire("p.int_out", "middle.u", '<ssc:LinearTransformation factor="2" offset="1"/>')
-    middle = system(
-        [inner], [wire("u", "inner.u", mapping("Integer", (3, 8), (9, 7)))], port("u", "input"), name="middle"
-    )
+    middle = system([inner], [wire("u", "inner.u", first)], port("u", "input"), name="middle")
     path = make([part("p"), middle], [line])
     found = driven(path, "middle.inner.q.int_in", p__int_in=[0, 1, 2, 3, 4, 5])
     # 3 5 7 9 11 13 behind the line, 8 5 7 7 11 13 behind the first table

@@ -70,9 +70,8 @@ def test_the_step_and_the_master_of_another_tool_are_followed(make, case):
     if coupling.adaptive is None:
         assert result.card.steps == 5  # of 0.02 s in 0.1 s
     said = f"the annotation of {tool}" if tool else "SimulationInformation of a draft of SSP"
-    assert [n for n in result.card.notes if n.startswith("coupled")] == [
-        f"coupled according to {said} in {system.source}"
-    ]
+    (followed,) = (n for n in result.card.notes if n.startswith("coupled"))
+    assert followed == f"coupled according to {said} in {system.source}"
 
 
 @table(__file__, "claims", "options, told")
