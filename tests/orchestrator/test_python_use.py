@@ -108,7 +108,8 @@ def test_a_comparison_has_a_picture_and_a_table():
 def test_a_cell_that_ends_with_a_semicolon_shows_the_figure_once(quiet, monkeypatch):
     """IPython shows the value of a cell itself unless it ends so."""
     waiting, shown = [], []
-    events = SimpleNamespace(register=lambda _, f: waiting.append(f), unregister=lambda _, f: waiting.remove(f))
+    events = SimpleNamespace(register=lambda _, call: waiting.append(call))
+    events.unregister = lambda _, call: waiting.remove(call)
     shell = SimpleNamespace(kernel=1, events=events, displayhook=SimpleNamespace(quiet=lambda: quiet))
     ipython = SimpleNamespace(get_ipython=lambda: shell, display=SimpleNamespace(display=shown.append))
     monkeypatch.setitem(sys.modules, "IPython", ipython)

@@ -203,7 +203,7 @@ def estimated(nominals=None, **signals):
     time = np.linspace(0, 1, 11)
     sizes = {name: float(text.split()[1]) for name, text in signals.items()}
     units = {name: text.split()[0] for name, text in signals.items()}
-    runs = (Trace(time, {n: a * time * (1 + 1e-3 * h**2) for n, a in sizes.items()}, units) for h in (1, 2, 4))
+    runs = (Trace(time, {n: a * time * (1 + h**2 / 1e3) for n, a in sizes.items()}, units) for h in (1, 2, 4))
     return signal_errors(*runs, nominals)
 
 

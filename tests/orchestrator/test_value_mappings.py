@@ -152,8 +152,8 @@ def test_outputs_of_the_system_are_mapped(make):
 
 def test_mappings_one_after_the_other(make):
     """Through the connectors of a system inside: a line, a table, a table; as each alone, in turn."""
-    first, second = mapping("Integer", (3, 8), (9, 7)), mapping("Integer", (5, 50), (8, 1), (7, 70))
-    inner = system([part("q")], [wire("u", "q.int_in", second)], port("u", "input"), name="inner")
+    first, then = mapping("Integer", (3, 8), (9, 7)), mapping("Integer", (5, 50), (8, 1), (7, 70))
+    inner = system([part("q")], [wire("u", "q.int_in", then)], port("u", "input"), name="inner")
     line = wire("p.int_out", "middle.u", '<ssc:LinearTransformation factor="2" offset="1"/>')
     middle = system([inner], [wire("u", "inner.u", first)], port("u", "input"), name="middle")
     path = make([part("p"), middle], [line])
