@@ -32,6 +32,8 @@ def held(values, rows):
 
 
 DEG, BAR, VOLT = map(SignalDescription, ("deg", "bar", "V"))
+COUNTS = SignalDescription("bar", factor=0.01, offset=-50.0)
+CODES = np.select([ROW % 500 == 9, ROW % 400 == 7, ROW % 450 == 7], [-9999, 65535, 65534], NOISY)
 # what is in the log, its description, and what is named
 NAMED = {
     "encoder 0 to 360": (ANGLE * 2 % 360, DEG, "jumps 4 times by about 360; wrap = 360 unwraps an angle"),
@@ -43,16 +45,8 @@ NAMED = {
     "every third row": (np.where(ROW % 3 == 1, held(LEVER, 15), np.nan), VOLT, "is held for 5 samples"),
     "0xFFFF": (np.where(ROW % 700 == 5, 6553.5, NOISY), BAR, r"3 samples .* \[6553\.5\]"),
     "0xFE": (np.where(ROW % 900 < 2, 254, np.round(NOISY)), SignalDescription("1"), r"6 samples .* \[254\]"),
-    "three codes": (
-        np.select([ROW % 500 == 9, ROW % 400 == 7, ROW % 450 == 7], [-9999, 65535, 65534], NOISY),
-        BAR,
-        r"13 samples .* invalid = \[-9999, 65534, 65535\]",
-    ),
-    "code of counts": (
-        np.where(ROW % 700 == 5, 65535, np.round(100 * NOISY)),
-        SignalDescription("bar", factor=0.01, offset=-50.0),
-        r"invalid = \[65535\]",
-    ),
+    "three codes": (CODES, BAR, r"13 samples .* invalid = \[-9999, 65534, 65535\]"),
+    "code of counts": (np.where(ROW % 700 == 5, 65535, np.round(100 * NOISY)), COUNTS, r"invalid = \[65535\]"),
 }
 
 
