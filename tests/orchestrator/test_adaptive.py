@@ -116,15 +116,11 @@ def test_a_corner_beside_an_output_time_makes_no_tiny_step(pushed):
 PUSH = Trace(np.array([0.0, 0.499, 0.501, 1.0]), {"a.u": np.array([0.0, 0.0, 50.0, 50.0])})
 
 
-@pytest.fixture
-def integrals(fmus):
-    """An integrator fed by that of a push, which cannot be extrapolated; and where none can go back."""
-    parts = (fmus.make("fails", f"jump_{len(a)}", interpolates=True, able=a) for a in ({}, STUCK))
-    return [assemble({"a": part, "b": part}, ["a.y -> b.u"]) for part in parts]
-
-
-def test_bad_steps(integrals):
+def test_bad_steps(fmus):
     """They are repeated, counted, not recorded; where an FMU cannot go back only the next step is shorter."""
+    # an integrator fed by that of a push, which cannot be extrapolated; and where none can go back
+    parts = (fmus.make("fails", f"jump_{len(a)}", interpolates=True, able=a) for a in ({}, STUCK))
+    integrals = [assemble({"a": part, "b": part}, ["a.y -> b.u"]) for part in parts]
     master = Coupling("jacobi", adaptive=1e-3)
     # the first step that could not be taken back is a thousandth of the given one
     first = [run(s, PUSH, master=master, step=0.05, stop=0.2).trace.time[1] for s in integrals]
