@@ -212,14 +212,6 @@ def test_a_loop_that_loses_its_solution_ends_the_run(kind, both):
     assert outcome.result.trace.time[-1] == pytest.approx(0.5)  # sin 0.5 < 0.5 < sin 0.6
 
 
-def test_a_loop_of_whole_numbers_is_refused(each):
-    """A loop of integers has no Newton step."""
-    wires = ["a.int_out -> b.int_in", "b.int_out -> a.int_in"]
-    system = assemble({name: each["types"] for name in "ab"}, wires)
-    told = r"algebraic loop .*expected Real signals, .* got Integer [ab]\.int_out"
-    problem(lambda: run(system, **HERE), told)
-
-
 # ---- undeclared dependencies
 
 
@@ -233,8 +225,12 @@ def test_a_loop_that_nobody_declared_is_solved(each):
     assert "Newton's method" in result.card.notes[-1]
 
 
-def test_whole_numbers_that_only_seem_to_be_in_a_loop(each, both):
-    """Without declared dependencies integers may be in the loop; it is solved, and integers are copied."""
+def test_whole_numbers_have_no_newton_step(each, both):
+    """A loop of them is refused; where no dependencies are declared they may not be in it, and are copied."""
+    loop = ["a.int_out -> b.int_in", "b.int_out -> a.int_in"]
+    system = assemble({name: each["types"] for name in "ab"}, loop)
+    told = r"algebraic loop .*expected Real signals, .* got Integer [ab]\.int_out"
+    problem(lambda: run(system, **HERE), told)
     files = {name: each.make("types", f"silent_{name}", undeclared=True) for name in "ab"}
     files["c"] = each.make("bent", "silent_c", undeclared=True)
     wires = ["a.real_out -> b.real_in", "b.real_out -> c.u", "c.y -> a.real_in", "a.int_out -> b.int_in"]

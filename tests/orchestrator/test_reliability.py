@@ -198,6 +198,9 @@ def test_a_step_above_a_suggested_one_is_guarded(oscillator):
         assert guarded.coupling.guard == SHORTER_STEP_GUARD
         expected = f"mass: steps of 0.00025 s are suggested; those of {text} s are divided where"
         assert guarded.notes[-1].startswith(expected)
+    found = with_default_guard(suggesting(oscillator, 2.5e-4, rollback=False), None)
+    assert found.coupling is None  # an FMU that cannot go back leaves only a note
+    assert found.notes[-1] == "mass: steps of 0.00025 s are suggested; this run has steps of 0.001 s"
 
 
 def test_what_is_chosen_is_not_guarded(oscillator):
@@ -211,10 +214,3 @@ def test_what_is_chosen_is_not_guarded(oscillator):
         assert with_default_guard(usual, 1e-2) is usual
     own = replace(system, suggestion=Suggestion())  # the step of the run is that of the FMU
     assert with_default_guard(own, None) is own
-
-
-def test_steps_that_cannot_be_divided_are_told(oscillator):
-    """An FMU that cannot go back leaves only a note."""
-    found = with_default_guard(suggesting(oscillator, 2.5e-4, rollback=False), None)
-    assert found.coupling is None
-    assert found.notes[-1] == "mass: steps of 0.00025 s are suggested; this run has steps of 0.001 s"

@@ -255,13 +255,19 @@ def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
     assert "10 s simulated" in shown()
 
 
-def test_settings_together_and_by_themselves(oscillator):
-    """Record and estimate are the same."""
+def test_options_in_objects_and_in_the_call(oscillator):
+    """Record and estimate are the same; what only the call has is added to an object, whose others stay."""
     together = {"record": Record(["a.x"], step=0.2), "execution": Execution(error_estimate=True)}
     one = run(oscillator, step=0.1, stop=1.0, **together)
     two = run(oscillator, step=0.1, stop=1.0, record=["a.x"], record_step=0.2, error_estimate=True)
     np.testing.assert_array_equal(one.trace.time, two.trace.time)
     assert one.card.errors == two.card.errors != ()
+    options = {"execution": Execution(error_estimate=True), "tolerance": 1e-4, "record": Record(["a.x"])}
+    result = run(oscillator, step=0.1, stop=1.0, record_step=0.5, **options)
+    assert len(result.trace.time) == 3
+    assert result.card.errors
+    settings = run(oscillator, step=0.1, stop=1.0, master=Coupling("jacobi", 2), guard=1e-2).coupling.settings
+    assert settings == Coupling("jacobi", 2, guard=1e-2).settings
 
 
 @pytest.mark.parametrize(
@@ -279,13 +285,3 @@ def test_an_option_is_given_once(oscillator, given, option, value, got):
     name = {Execution: "execution", Record: "record", Coupling: "master"}[type(given)]
     told = problem(lambda: run(oscillator, step=0.1, stop=1.0, **{name: given, option: value}))
     assert told == f"{option}: expected one value, got {got}"
-
-
-def test_an_option_of_the_call_is_added_to_those_of_an_object(oscillator):
-    """The others stay."""
-    options = {"execution": Execution(error_estimate=True), "tolerance": 1e-4, "record": Record(["a.x"])}
-    result = run(oscillator, step=0.1, stop=1.0, record_step=0.5, **options)
-    assert len(result.trace.time) == 3
-    assert result.card.errors
-    settings = run(oscillator, step=0.1, stop=1.0, master=Coupling("jacobi", 2), guard=1e-2).coupling.settings
-    assert settings == Coupling("jacobi", 2, guard=1e-2).settings
