@@ -188,7 +188,7 @@ def test_a_time_limit_is_one_for_all_runs(oscillator, monkeypatch):
         assert len(deadlines) > 1
         assert len(set(deadlines)) == 1
     search = AccuracySearch(oscillator, Execution(accuracy=1e-6, time_limit=1.0, deadline=0.0), 1e-6)
-    assert not search.goes_on()  # after a run that failed, and after a complete one that is not accurate enough
+    assert not search.goes_on()  # after a run that failed, nor after one that is not accurate enough
     coarse = run(oscillator, **STEPS)
     problem(lambda: search.judge(coarse), "^accuracy 1e-06: not reached: .*after 1 s$")
 

@@ -32,7 +32,7 @@ def held(values, rows):
 
 
 DEG, BAR, VOLT = map(SignalDescription, ("deg", "bar", "V"))
-COUNTS = SignalDescription("bar", factor=0.01, offset=-50.0)
+COUNT = SignalDescription("bar", factor=0.01, offset=-50.0)
 CODES = np.select([ROW % 500 == 9, ROW % 400 == 7, ROW % 450 == 7], [-9999, 65535, 65534], NOISY)
 # what is in the log, its description, and what is named
 NAMED = {
@@ -46,7 +46,7 @@ NAMED = {
     "0xFFFF": (np.where(ROW % 700 == 5, 6553.5, NOISY), BAR, r"3 samples .* \[6553\.5\]"),
     "0xFE": (np.where(ROW % 900 < 2, 254, np.round(NOISY)), SignalDescription("1"), r"6 samples .* \[254\]"),
     "three codes": (CODES, BAR, r"13 samples .* invalid = \[-9999, 65534, 65535\]"),
-    "code of counts": (np.where(ROW % 700 == 5, 65535, np.round(100 * NOISY)), COUNTS, r"invalid = \[65535\]"),
+    "code of counts": (np.where(ROW % 700 == 5, 65535, np.round(100 * NOISY)), COUNT, r"invalid = \[65535\]"),
 }
 
 
