@@ -5,7 +5,6 @@ import pytest
 from kit.any_fmu.models import Workshop
 from kit.mistakes import problem, table
 
-from fmus.identification.recordings.reading import read_series
 from orchestrator import Trace, assemble, read_recording, read_trace, run, write_trace
 from orchestrator.base import files
 from orchestrator.data.table import read_columns, time_axis
@@ -252,11 +251,6 @@ def test_a_column_in_another_unit_drives_its_input(fmus: Workshop, log):
         assert linear(read_trace(path)["u"][0]) == pytest.approx(first, rel=1e-14)
     path = log("time,u\ns,V\n0,3\n1,3\n")
     problem(lambda: run(system, path), r"log.csv: column 'u': expected a unit like bar, got 'V'")
-
-
-def test_a_series_of_numbers_without_names_is_read_alike(log):
-    """Columns by index, in whatever form; the kind of file that public data sets have."""
-    assert read_series(log("0,5\t1\n1\t-2,5\n"), {"u": 0, "y": 1})["y"].tolist() == [1.0, -2.5]
 
 
 def test_a_decimal_comma_may_come_late(log):
