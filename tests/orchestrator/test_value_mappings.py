@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from kit.mistakes import problem
-from kit.ssp import bound, second, ssd, system, wire
+from kit.ssp import inline, second, ssd, system, wire
 
 from orchestrator import Trace, load, run
 from orchestrator.ssp.write import write_ssp
@@ -41,16 +41,10 @@ def part(name, bindings=""):
 
 def values(mapping_entries, **parameters):
     """A binding with a parameter mapping; parameters: name -> (element, value)."""
-    rows = "".join(
-        f'<ssv:Parameter name="{n}"><ssv:{kind} value="{v}"/></ssv:Parameter>'
-        for n, (kind, v) in parameters.items()
-    )
-    return bound(
-        "",
-        f"""<ssd:ParameterValues><ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>{rows}
-</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues><ssd:ParameterMapping>
-<ssm:ParameterMapping version="1.0">{mapping_entries}</ssm:ParameterMapping></ssd:ParameterMapping>""",
-    )
+    rows = [(n, f'<ssv:{kind} value="{v}"/>') for n, (kind, v) in parameters.items()]
+    text = f'<ssm:ParameterMapping version="1.0">{mapping_entries}</ssm:ParameterMapping>'
+    end = "</ssd:ParameterBinding>"
+    return inline(*rows).replace(end, f"<ssd:ParameterMapping>{text}</ssd:ParameterMapping>{end}")
 
 
 def entries(*pairs):
