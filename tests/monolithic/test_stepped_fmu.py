@@ -36,8 +36,7 @@ def test_a_step_event_is_that_of_the_fmu(fmu):
     t, x = result.trace.time, result["lag2.x"]
     assert x.max() < 0.31
     assert (np.diff(x) < 0).sum() == 2  # it takes log(1 / 0.7) = 0.36 s each time
-    # before the first event
-    np.testing.assert_allclose(x[t < 0.35], 1 - np.exp(-t[t < 0.35]), atol=1e-7)
+    np.testing.assert_allclose(x[t < 0.35], 1 - np.exp(-t[t < 0.35]), atol=1e-7)  # before the first event
 
 
 # ---- inputs
@@ -85,8 +84,7 @@ def test_a_step_can_be_repeated(fmu, version):
             slave.restore(saved)
             slave.step(0.1, 0.1)
             found.append((slave.get("x"), slave.get("v")))
-        # the tolerance of the solver is 1e-8
-        assert found[0] == pytest.approx(found[1], rel=1e-8)
+        assert found[0] == pytest.approx(found[1], rel=1e-8)  # the tolerance of the solver is 1e-8
 
 
 def test_a_step_with_an_event_needs_the_state_of_the_fmu(fmu):

@@ -48,8 +48,7 @@ def test_differences_through_connectors_of_a_file(pair, zip_ssp):
     ports = connector("u", "input", "K") + connector("y", "output", "K")
     top = system([inner, gain("a", source="a.fmu")], wires, ports, inline(real("u", 3, "degC")))
     path = zip_ssp(ssd(top, CELSIUS), {f"{name}.fmu": fmu for name, fmu in pair.items()})
-    # sums of whole numbers
-    assert run(path, step=0.5, stop=0.5).trace["y"].tolist() == [8.0, 8.0]
+    assert run(path, step=0.5, stop=0.5).trace["y"].tolist() == [8.0, 8.0]  # sums of whole numbers
     assert run(path, step=0.5, stop=0.5, set={"u": "4 degC"}).trace["y"].tolist() == [9.0, 9.0]
 
 

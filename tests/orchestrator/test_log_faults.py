@@ -177,8 +177,7 @@ def test_the_keys_work_in_a_file(tmp_path, capsys):
     read_trace(tmp_path / "a.csv")
     assert capsys.readouterr().err == ""
     assert np.flatnonzero(np.isnan(made["p"])).tolist() == [10, 510, 1010, 1510]
-    # 18 digits of the file
-    np.testing.assert_allclose(made["a"], np.radians(3 * ANGLE - 360), atol=1e-9)
+    np.testing.assert_allclose(made["a"], np.radians(3 * ANGLE - 360), atol=1e-9)  # 18 digits of the file
 
 
 @pytest.mark.parametrize(

@@ -126,8 +126,7 @@ def test_units_are_converted_inside_a_loop(each):
     files |= {"q": each.make("gain", "pressed", units={"u": "degC", "y": "bar", "offset": "bar"})}
     start = {"p.factor": 2e-5, "p.offset": 280.0, "q.factor": -3.0, "q.offset": 5.0}
     trace = run(assemble(files, PAIR, start), step=0.1, stop=0.3).trace
-    # y_p = 2e-5 * 1e5 * y_q + 280 and y_q = -3 (y_p - 273.15) + 5
-    kelvin = (2 * (3 * 273.15 + 5) + 280) / 7
+    kelvin = (2 * (3 * 273.15 + 5) + 280) / 7  # y_p = 2e-5 * 1e5 * y_q + 280 and y_q = -3 (y_p - 273.15) + 5
     np.testing.assert_allclose(trace["p.y"], kelvin, rtol=CLOSE)
     # differences of kelvins: 1e-10 of 300 K is 1e-8 of 3 K
     np.testing.assert_allclose(trace["q.u"], kelvin - 273.15, rtol=1e-7)
@@ -174,8 +173,7 @@ def test_wrong_derivatives_are_not_used(fmus3):
     files = {"t": fmus3["types"], "g": fmus3["gain"]}
     system = assemble(files, ["t.real_out -> g.u", "g.y -> t.real_in"], {"g.factor": -0.25, "g.offset": 3.0})
     result = run(system, step=0.01, stop=0.1)
-    # y = 3 - 0.25 y
-    np.testing.assert_allclose(result.trace["g.y"], 3.0 / 1.25, rtol=CLOSE)
+    np.testing.assert_allclose(result.trace["g.y"], 3.0 / 1.25, rtol=CLOSE)  # y = 3 - 0.25 y
     assert "with differences and directional derivatives" in result.card.notes[-1]
 
 
@@ -185,8 +183,7 @@ def test_loops_are_solved_in_initialisation_mode(kind):
     slaves = {name: open_slave(component) for name, component in system.components.items()}
     initialise(system, slaves, {}, (0.0, 1.0))
     y = slaves["p"].get("y")
-    # y = 2 - 6 y + 0.4 y^2
-    assert y == pytest.approx((7 - np.sqrt(49 - 3.2)) / 0.8, rel=CLOSE)
+    assert y == pytest.approx((7 - np.sqrt(49 - 3.2)) / 0.8, rel=CLOSE)  # y = 2 - 6 y + 0.4 y^2
     assert slaves["p"].get("u") == pytest.approx(-2 * y, rel=CLOSE)
     for slave in slaves.values():
         slave.close()

@@ -67,8 +67,7 @@ def test_a_file_with_units_for_an_assembled_system(fmus, tmp_path):
     file = tmp_path / "own.ssv"
     file.write_text(ssv("mm", u=500.0), encoding="utf-8")
     trace = run(assemble(metres), parameters=[file], step=0.5, stop=0.5).trace
-    # one product, rounding only
-    np.testing.assert_allclose([trace["p.u"], trace["q.u"]], 0.5, rtol=1e-15)
+    np.testing.assert_allclose([trace["p.u"], trace["q.u"]], 0.5, rtol=1e-15)  # one product, rounding only
 
 
 def test_the_unit_is_converted_before_a_value_is_mapped(fmus, zip_ssp, tmp_path):

@@ -274,8 +274,7 @@ def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, wo
     files = [part.source.path for part in moving.components.values()]
     rows, reached, steps, complete = interrupted(*files, master, in_c, worth)
     assert int(steps) > 1000
-    # a row for each second and the last point
-    assert int(rows) == int(float(reached) - 1e-9) + 2
+    assert int(rows) == int(float(reached) - 1e-9) + 2  # a row for each second and the last point
     assert float(reached) == pytest.approx(1e-3 * int(steps), rel=1e-9)  # rounding of one product
     assert complete == "False"
 
