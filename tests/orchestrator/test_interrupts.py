@@ -29,10 +29,7 @@ def test_a_signal_at_the_very_end_and_a_second_one_are_handled():
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-
-
-def test_a_second_signal_waits_where_raising_is_of_no_use():
-    """CVODES takes an exception inside its equations for equations that failed, and tries a smaller step."""
+    # it waits where raising is of no use: CVODES takes an exception inside its equations for a step that failed
     raised = []
     with pytest.raises(KeyboardInterrupt), DeferredInterrupts(second_at_once=False):
         raised.extend(signal.raise_signal(signal.SIGINT) for _ in range(2))

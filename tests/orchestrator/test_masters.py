@@ -38,8 +38,7 @@ def test_gauss_seidel_has_order_two_behind_a_sine(each, order, how):
     system = assemble(files, ["sine.y -> sum.u", *wired])
 
     def error(h):
-        trace = run(system, master="gauss-seidel", step=h, stop=1.0).trace
-        return abs(trace["sum.y"][-1] - (1 - np.cos(1.0)))
+        return abs(run(system, master="gauss-seidel", step=h, stop=1.0)["sum.y"][-1] - (1 - np.cos(1.0)))
 
     # the trapezoidal rule; the next term of its expansion is below 2 % at these steps
     assert order(error, 0.02) == pytest.approx(2, abs=0.02)
@@ -172,8 +171,8 @@ def test_positions_move_at_their_velocity(each, order, master, expected):
     system = assemble(files, wires, {"mass.spring": 1.0})
 
     def error(h):
-        trace = run(system, master=master, step=h, stop=1.0).trace
-        return abs(trace["sum.y"][-1] + 100 * (1 - np.cos(1.0)))  # x = -100 sin t
+        # x = -100 sin t
+        return abs(run(system, master=master, step=h, stop=1.0)["sum.y"][-1] + 100 * (1 - np.cos(1.0)))
 
     assert order(error, 0.02) == pytest.approx(expected, abs=0.05)
 
@@ -336,14 +335,10 @@ def test_a_limit_names_what_keeps_the_run_in_this_process(oscillators):
         problem(lambda more=options: run(oscillators(), time_limit=5.0, **more), told.format(got))
 
 
-def test_a_batch_refuses_a_master_of_ones_own(oscillators):
-    """Its functions cannot be in other processes; it was told as a connection that each machine lost."""
+def test_a_master_of_ones_own_is_a_plan_or_a_function_and_in_no_batch(oscillators):
+    """Neither and both are refused; its functions cannot be in the other processes of a batch."""
+    problem(lambda: Master("mine"), r"mine: expected a function `plan` or a function `step`, got neither")
+    problem(lambda: Master("mine", plan=gauss_seidel_plan, step=stepping), r"got both")
     message = "batch: expected one of the masters .*, got mine, whose functions are in the calling process"
     for mine in (Master("mine", step=stepping), Master("mine", plan=gauss_seidel_plan)):
         problem(lambda mine=mine: batch(oscillators(), {"a.mass": [1.0]}, master=mine), message)
-
-
-def test_a_master_is_a_plan_or_a_function():
-    """Neither is refused, and so are both."""
-    problem(lambda: Master("mine"), r"mine: expected a function `plan` or a function `step`, got neither")
-    problem(lambda: Master("mine", plan=gauss_seidel_plan, step=stepping), r"got both")

@@ -113,11 +113,14 @@ def test_two_runs_do_not_write_the_same_file(tmp_path, suffix):
     assert len(read_trace(second.path).time) == 9
 
 
-def test_whole_numbers_are_written_as_numbers(tmp_path):
-    """A trace of integers gives the file of the same numbers."""
+def test_all_columns_are_numbers_and_of_one_length(tmp_path):
+    """A trace of integers gives the file of the same numbers; no value is repeated or left out."""
     whole, real = (Trace(np.arange(3, dtype=t), {"a.b": np.arange(3, dtype=t)}) for t in (int, float))
     files = [write_trace(trace, tmp_path / f"{k}.csv").read_bytes() for k, trace in enumerate((whole, real))]
     assert files[0] == files[1]
+    for values in (np.zeros(1), np.zeros(7)):
+        with pytest.raises(Problem, match=r"a: expected 5 values, got \d$"):
+            write_trace(Trace(np.arange(5.0), {"a": values}), tmp_path / "t.csv")
 
 
 @pytest.mark.parametrize("name", ["t.partial.csv", "folder.csv"])
@@ -138,13 +141,6 @@ def test_a_link_stays_a_link(tmp_path):
     write_trace(Trace(np.array([0.0, 1.0]), {"a": np.array([7.0, 8.0])}), tmp_path / "t.csv")
     assert (tmp_path / "t.csv").is_symlink()
     assert read_trace(tmp_path / "results" / "first.csv")["a"].tolist() == [7.0, 8.0]
-
-
-def test_columns_of_another_length_are_refused(tmp_path):
-    """No value is repeated or left out."""
-    for values in (np.zeros(1), np.zeros(7)):
-        with pytest.raises(Problem, match=r"a: expected 5 values, got \d$"):
-            write_trace(Trace(np.arange(5.0), {"a": values}), tmp_path / "t.csv")
 
 
 # ---- a full disk

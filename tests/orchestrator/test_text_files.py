@@ -87,10 +87,7 @@ def test_one_description_for_every_use(log):
         np.testing.assert_allclose(trace["p"], [8e5, 18e5], rtol=1e-14)
         np.testing.assert_allclose(trace["u"], [0.5, 0.25], rtol=1e-14)
         assert dict(trace.units) == {"p": "Pa", "u": "V"}
-
-
-def test_a_description_may_only_say_how_the_file_is_written(log):
-    """Then the names in the file hold; a window of the time, too."""
+    # one that only says how the file is written: the names in the file hold; a window of the time, too
     meta = '[file]\nskip_lines = 1\n[time]\ncolumn = "Messzeit"\nunit = "ms"\nstart = 0.5\n'
     trace = read_trace(log("Logger 7\nn;Messzeit;u\n1;0;0\n2;500;1,5\n3;1000;2\n", meta))
     assert (trace.time.tolist(), trace["u"].tolist()) == ([0.5, 1.0], [1.5, 2.0])

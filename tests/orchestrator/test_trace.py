@@ -59,12 +59,16 @@ def test_an_unknown_signal_is_told_with_what_it_could_be(trace):
     problem(lambda: trace.select(["pump"]), r"^no signal pump in the run; there are a.y, b.x, odd$")
 
 
-def test_values_between_samples_are_linear_and_held_outside():
-    """Interpolation at any times."""
-    ramp = Trace(np.array([1.0, 2.0]), {"u": np.array([10.0, 20.0])})
+def test_values_at_any_times_and_windows_of_a_trace():
+    """A window has the samples at its ends, though they differ in the last digit: 3 * 0.3 is below 0.9."""
+    ramp = Trace(np.array([1.0, 2.0]), {"u": np.array([10.0, 20.0])})  # linear between, held outside
     np.testing.assert_array_equal(ramp.at([0.0, 1.5, 9.0])["u"], [10.0, 15.0, 20.0])
     assert ramp.at(1.5)["u"] == [15.0]
     assert "at 1 times" in repr(ramp.at(1.5))
+    time = 0.3 * np.arange(6)
+    assert time[3] < 0.9
+    assert Trace(time, {"u": time}).window(0.9, 1.5).time[0] == time[3]
+    assert len(Trace(time, {"u": time}).window(0.0, 0.9 - 1e-3).time) == 3
 
 
 @table(__file__, "mistakes", "text, message")
@@ -92,14 +96,6 @@ def test_files_as_other_tools_write_them(tmp_path, text, time, u):
     trace = read_trace(tmp_path / "t.csv")
     np.testing.assert_allclose(trace.time, time, rtol=1e-15)  # rounding of 0.1 - 1e-6
     np.testing.assert_array_equal(trace["u"], u)
-
-
-def test_a_window_has_the_samples_at_its_ends():
-    """Also if they differ from them in the last digit: three times 0.3 is less than 0.9."""
-    time = 0.3 * np.arange(6)
-    assert time[3] < 0.9
-    assert Trace(time, {"u": time}).window(0.9, 1.5).time[0] == time[3]
-    assert len(Trace(time, {"u": time}).window(0.0, 0.9 - 1e-3).time) == 3
 
 
 def test_missing_rows_of_a_uniform_file_are_a_gap(tmp_path):
