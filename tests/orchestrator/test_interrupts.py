@@ -29,7 +29,7 @@ def test_a_signal_at_the_very_end_and_a_second_one_are_handled():
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-    # it waits where raising is of no use: CVODES takes an exception inside its equations for a step that failed
+    # it waits where raising is of no use: CVODES takes an exception in its equations for a step that failed
     raised = []
     with pytest.raises(KeyboardInterrupt), DeferredInterrupts(second_at_once=False):
         raised.extend(signal.raise_signal(signal.SIGINT) for _ in range(2))
