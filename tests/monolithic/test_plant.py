@@ -136,9 +136,6 @@ def test_the_magnitude_of_a_state_is_positive(chain, monkeypatch, given, magnitu
     assert chain.magnitudes().tolist() == [magnitude, room, magnitude]
 
 
-# ---- events
-
-
 @pytest.mark.parametrize("more", [0, 1])
 def test_discrete_states_settle_in_at_most_100_iterations(chain, monkeypatch, more):
     """One more is refused; the time of the next event is that of the last iteration."""

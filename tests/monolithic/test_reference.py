@@ -20,9 +20,6 @@ VERSIONS = (2, 3)
 MIXED = list(product(VERSIONS, VERSIONS))
 
 
-# ---- files
-
-
 @pytest.mark.parametrize("implementation", ["", 'implementation="ModelExchange"'])
 def test_an_ssp_may_ask_for_model_exchange(fmu, tmp_path, implementation):
     """A thermostat whose truth is mapped to its contrary: the cold room is heated for ever, or never."""
@@ -41,9 +38,6 @@ def test_an_ssp_may_ask_for_model_exchange(fmu, tmp_path, implementation):
         np.testing.assert_allclose(result["r.T"], right(result.trace.time), atol=1e-11)
 
 
-# ---- states
-
-
 # both solvers: the error of the one as a co-simulation is that of its tolerance, 1e-8
 WAYS = [(reference, 20.0, {"record_step": 0.1}, 1e-9), (run, 5.0, {"step": 0.05}, 1e-7)]
 
@@ -57,9 +51,6 @@ def test_an_oscillator_that_is_not_linear_is_that_of_another_solver(fmu, version
     exact = solve_ivp(lambda _, x: [x[1], (1 - x[0] ** 2) * x[1] - x[0]], (0.0, stop), [2.0, 0.0], **tight).y
     found = [result[f"swing{version}.{name}"] for name in ("x", "v")]
     np.testing.assert_allclose(found, exact, rtol=0, atol=error)
-
-
-# ---- events
 
 
 def height(t: float, e: float = 0.7, g: float = 9.81, slowest: float = 0.7 * 0.01) -> float:
@@ -119,9 +110,6 @@ def test_discrete_signals_reach_other_fmus_in_event_mode(fmu, of_room, of_thermo
 
     # the thermostat switches 1e-9 beside its thresholds
     assert np.abs(result["room.T"] - [exact(t) for t in result.trace.time]).max() < 1e-8
-
-
-# ---- algebraic loops
 
 
 @pytest.mark.parametrize(("of_a", "of_b"), MIXED)

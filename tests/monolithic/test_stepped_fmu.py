@@ -27,9 +27,6 @@ def begun(fmu):
     return slave
 
 
-# ---- alone
-
-
 def test_a_step_event_is_that_of_the_fmu(fmu):
     """x' = 1 - x; after a solver's step to x > 0.3 the FMU sets x to 0."""
     result = run(fmu("lag", 2), stop=1.0, step=0.01, set={"lag2.u": 1.0, "lag2.limit": 0.3})
@@ -37,9 +34,6 @@ def test_a_step_event_is_that_of_the_fmu(fmu):
     assert x.max() < 0.31
     assert (np.diff(x) < 0).sum() == 2  # it takes log(1 / 0.7) = 0.36 s each time
     np.testing.assert_allclose(x[t < 0.35], 1 - np.exp(-t[t < 0.35]), atol=1e-7)  # before the first event
-
-
-# ---- inputs
 
 
 @pytest.mark.parametrize("version", VERSIONS)

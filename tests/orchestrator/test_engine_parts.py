@@ -68,9 +68,6 @@ def test_a_table_is_read_at_any_time_in_any_order():
         assert reals[0] == pytest.approx(1e3 * slope, rel=1e-12)
 
 
-# ---- the inputs of an FMU over a part of a step
-
-
 @pytest.mark.parametrize("degree", [0, 1, 3])
 @pytest.mark.parametrize(("begin", "last"), [(0.0, False), (0.0, True), (0.2, False), (0.2, True)])
 def test_an_fmu_gets_the_nearest_polynomial_that_it_can_follow(degree, begin, last):
@@ -108,9 +105,6 @@ def test_an_fmu_gets_the_nearest_polynomial_that_it_can_follow(degree, begin, la
     kept[0, [2, 1]] = [e[0] for e in expected] if begin == 0.0 else 0.0
     kept[1, [2, 1]] = [part(begin + length) for part in parts] if last else 0.0
     assert ends == pytest.approx(kept, **near)
-
-
-# ---- the error of a step
 
 
 class Step:

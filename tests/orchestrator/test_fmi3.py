@@ -95,9 +95,6 @@ def test_an_alias_is_the_variable_itself(fmus3):
     np.testing.assert_array_equal(trace["h.out"], 6 * trace["s.y"])
 
 
-# ---- instances
-
-
 def test_inputs_without_a_rate_input_accept_no_derivative(fmus3, started):
     """FMI 3.0 has no function that gives inputs a slope; whoever asks for it is told."""
     slave = started(fmus3["fails"])
@@ -124,9 +121,6 @@ def test_messages_tell_names():
     for mark in ("12", "r12", "i12", "b12", "s12"):
         text = f"#{mark}# of pump ##4 is above #13#, #1"
         assert with_variable_names(text, {mark: "a.p"}) == "a.p of pump #4 is above #13#, #1"
-
-
-# ---- platforms
 
 
 def test_binaries_lie_in_the_folder_of_the_platform_tuple(fmus, fmus3, monkeypatch, opened):

@@ -189,9 +189,6 @@ def test_loops_are_solved_in_initialisation_mode(kind):
         slave.close()
 
 
-# ---- no solution
-
-
 def test_a_loop_without_solution_is_named(kind):
     """One line with the connections: y = y + 1; an output that is NaN is named."""
     system = assemble({n: kind.make("gain") for n in "pq"}, PAIR, {"p.offset": 1.0})
@@ -250,9 +247,6 @@ def test_fmus_called_by_python_and_by_c_agree_on_loops_of_several(each, both, un
     y = {n: trace[f"{n}.y"] for n in "abc"}
     np.testing.assert_allclose(y["b"], trace["s.y"] + 5 * y["a"], rtol=0, atol=1e-7)  # 1e-10 of 100
     np.testing.assert_allclose(y["a"], y["c"] + 0.3 * y["c"] ** 2 - 40 * y["b"], rtol=0, atol=1e-6)
-
-
-# ---- linear equations
 
 
 @pytest.mark.parametrize("n", range(1, 7))

@@ -163,9 +163,6 @@ def test_a_matlab_file_of_another_tool_is_a_scenario(tmp_path):
         read_trace(tmp_path / "t.mat")
 
 
-# ---- units of values
-
-
 @pytest.fixture
 def body(fmus):
     """A system of one FMU: parameter mass [kg], input force [N], output x [m]."""

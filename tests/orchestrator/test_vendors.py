@@ -175,9 +175,6 @@ def test_our_own_annotation_wins(make):
     assert (system.coupling, system.step) == (Coupling("gauss-seidel"), 0.05)
 
 
-# ---- slips
-
-
 def test_an_empty_element_name_is_the_system(make):
     """OMSimulator writes startElement="" for a connector of the system itself."""
     plain, empty = load(make()), load(make(start='startElement="" '))
