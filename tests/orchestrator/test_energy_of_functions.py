@@ -81,17 +81,15 @@ def test_runs_stand_side_by_side(tmp_path, monkeypatch, capsys):
     assert found["remainder"] == pytest.approx(energy(crane().window(0, 1), "-").remainder)
 
 
+def bars(axes):
+    """Label and row of each bar -> its begin and its length."""
+    found = ((bar.get_label(), b) for bar in axes.containers for b in bar.patches)
+    return {(label, round(b.get_y() + 0.4)): (b.get_x(), b.get_width()) for label, b in found}
+
+
 def test_bars_are_as_long_as_what_they_show():
     """Of the engine and of each function, in kJ; negative parts are to the left of zero."""
-    figure = draw({"a": energy(crane(), "-")})
-    of_engine, of_functions = (
-        {
-            (bar.get_label(), round(b.get_y() + 0.4)): (b.get_x(), b.get_width())
-            for bar in axes.containers
-            for b in bar.patches
-        }
-        for axes in figure.axes
-    )
+    of_engine, of_functions = map(bars, draw({"a": energy(crane(), "-")}).axes)
     assert of_engine["leakage", 0] == pytest.approx((0, 30))
     assert of_engine["lift_2", 0] == pytest.approx((138, 60))
     assert of_functions["hose", 0] == pytest.approx((50, 20))

@@ -53,10 +53,7 @@ def test_the_signature_of_run_has_every_option():
     names = set(inspect.signature(run).parameters)
     assert names == {"system", "scenario", "record", "execution", *declarations(RunArguments)}
     assert inspect.signature(run).parameters["stop"].default is None
-
-
-def test_the_default_accuracies_are_those_of_the_help():
-    """One place in the code; the text of the option names both."""
+    # one place in the code has the default accuracies; the text of the option names both
     told = " ".join(AccuracyArguments.__doc__.split())
     for before, name in (("all FMUs have directional derivatives", "run"), ("validate", "validate")):
         assert f"{before}: {DEFAULT_ACCURACY[name]:.0e}".replace("e-0", "e-") in told
