@@ -45,9 +45,6 @@ def test_both_versions_give_the_same_numbers_also_mixed(fmus, fmus3, master):
     assert np.ptp(traces[0]["a.x"]) > 1.0
 
 
-# ---- types
-
-
 def test_numbers_of_all_widths_pass(fmus3):
     """From a scenario through an FMU and a connection; Float32 keeps seven digits."""
     lower = {kind: 0 if kind.startswith("U") else -7 for kind in WIDTHS}

@@ -60,9 +60,6 @@ def forced(kind: Kind, there: float, back: float, bend: float = 0.0, slopes: boo
     return assemble(files, ["s.y -> p.w", *PAIR], start)
 
 
-# ---- solutions
-
-
 @pytest.mark.parametrize(("there", "back"), [(0.5, 0.5), (3.0, -2.0), (3.0, 2.0), (-1e4, 1e3)])
 def test_linear_loops_are_solved_at_every_point(kind, there, back):
     """Also if copied values would diverge, and at the first point; the note has connections and method."""
@@ -204,9 +201,6 @@ def test_a_loop_that_loses_its_solution_ends_the_run(kind, both):
     outcome = both(system, "jacobi", stop=2.0)
     assert re.match(r"algebraic loop .*: no solution at t = 0\.6 s.*residual of", outcome.error)
     assert outcome.result.trace.time[-1] == pytest.approx(0.5)  # sin 0.5 < 0.5 < sin 0.6
-
-
-# ---- undeclared dependencies
 
 
 def test_a_loop_that_nobody_declared_is_solved(each):

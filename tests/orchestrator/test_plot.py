@@ -136,9 +136,6 @@ def test_with_a_display_a_window_opens(here, monkeypatch, capsys):
     assert list(here.iterdir()) == [here / "t.parquet"]
 
 
-# ---- MATLAB
-
-
 def test_a_matlab_file_has_structs_of_components_and_units(tmp_path):
     """Names that MATLAB does not know are replaced, long and reserved ones too; our reader restores them."""
     names = ["time_2", "arm.x", "arm.der(v)", "arm", "end.1st", "units.a", "a.b.c", "z" * 70]

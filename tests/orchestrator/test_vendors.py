@@ -175,6 +175,9 @@ def test_our_own_annotation_wins(make):
     assert (system.coupling, system.step) == (Coupling("gauss-seidel"), 0.05)
 
 
+# ---- slips and broken files
+
+
 def test_an_empty_element_name_is_the_system(make):
     """OMSimulator writes startElement="" for a connector of the system itself."""
     plain, empty = load(make()), load(make(start='startElement="" '))
@@ -187,9 +190,6 @@ def test_an_empty_system_is_told(zip_ssp, capsys):
     text = re.sub(r"<ssd:Elements>.*</ssd:Connections>", "<ssd:Elements/>", ssd(), flags=re.S)
     told = refused(capsys, ["run", zip_ssp(text, {})])
     assert told.endswith("SystemStructure.ssd: the system has no components: expected at least one FMU\n")
-
-
-# ---- broken
 
 
 @pytest.fixture(scope="module")
