@@ -121,7 +121,7 @@ def test_messages_tell_names():
 
 
 def test_binaries_lie_in_the_folder_of_the_platform_tuple(fmus, fmus3, monkeypatch, opened):
-    """Also on ARM in FMI 2.0, where linux64 does not tell the processor, but may still do."""
+    """In FMI 2.0 it comes first on ARM: linux64 does not tell the processor, but may still do."""
     misplaced = fmus3.make("gain", "misplaced", platform=fmpy.platform)  # FMI 2.0's folder does not count
     problem(lambda: opened(misplaced), rf"expected binaries/{fmpy.platform_tuple}/misplaced")
     monkeypatch.setattr(library, "PLATFORM_TUPLE", "aarch64-linux")

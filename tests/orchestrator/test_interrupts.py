@@ -16,7 +16,7 @@ def test_a_signal_waits_for_the_next_check():
             interrupts.check()
         interrupts.check()  # once is enough
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    with pytest.raises(RuntimeError), DeferredInterrupts():  # and also after an error
+    with pytest.raises(RuntimeError), DeferredInterrupts():  # it comes back after an error, too
         raise RuntimeError
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
