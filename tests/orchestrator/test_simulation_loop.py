@@ -184,8 +184,6 @@ def fresh(monkeypatch, tmp_path):
 
 
 INSTALL = 'the package ziglang is not installed; install with: pip install "harvester-cosim[build]"'
-
-
 NO_FLAG = (c_library, "FLAGS", (*c_library.FLAGS, "-fno-such-flag"), "fno-such-flag")
 NO_COMPILER = (compiler, "version", Mock(side_effect=PackageNotFoundError), INSTALL)
 
