@@ -55,6 +55,7 @@ def expected(quirk: str, fmi: int, master: Coupling) -> list[str]:
 
 PREDICTING = Coupling("interface-jacobian")  # extrapolates inputs from FMUs without directional derivatives
 
+
 # half of the pairs: each ability with masters that want it and with one that does not
 @pytest.mark.parametrize(("quirk", "master"), thinned(2, [*ABLE], [*MASTERS, PREDICTING]))
 def test_masters_do_without(each, both, quirk, master):

@@ -69,6 +69,7 @@ COUPLINGS = [
     *(Coupling("jacobi", factors={"b": 7}), Coupling("gauss-seidel", 2, factors={"a": 2})),
 ]
 
+
 # each coupling with one kind of input or two: what follows an input is one function for all of them
 @pytest.mark.parametrize(("master", "kind"), thinned(4, COUPLINGS, KINDS))
 def test_equal_steps(alike, oscillators, master, kind):
