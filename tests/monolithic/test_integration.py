@@ -178,9 +178,6 @@ def test_the_solver_starts_again_where_a_slope_jumps():
     assert breaks(n, 0.0, 1.0, 1.0, 2.0, 0.0) == [1.0, 2.0, 3.0, 4.0, np.inf]
 
 
-# ---- options
-
-
 @pytest.mark.parametrize("tolerance", [1e-14, 2e-14, 1e-2])
 def test_the_limits_of_the_tolerance_are_allowed(fmu, tolerance):
     """And the default is 2e-14."""

@@ -16,6 +16,7 @@ from orchestrator import Coupling, Master, System, Trace, assemble, reference, r
 
 STEP, STOP = 0.25, 2.0
 FIXED = {"able": {"canHandleVariableCommunicationStepSize": "false"}}
+HEATED = ["room.T -> thermo.y", "thermo.on -> room.on"]
 
 
 def in_turn(components, time, length):
@@ -194,12 +195,8 @@ def test_a_boolean_takes_a_value_at_its_time(fmu, version, at, master):
     step = {} if getattr(master, "adaptive", None) else {"step": STEP}
     column = two_rows(f"{name}.on", {at: 1.0})
     sampled = Trace(np.array([0.0, at, STOP]), {f"{name}.on": np.array([0.0, 1.0, 1.0])})
-    given = (
-        {"scenario": column},
-        {"scenario": sampled},
-        {"fault": {f"{name}.on": f"true@{at}"}, "stop": STOP},
-    )
-    for drives in given:
+    fault = {"fault": {f"{name}.on": f"true@{at}"}, "stop": STOP}
+    for drives in ({"scenario": column}, {"scenario": sampled}, fault):
         result = run(fmu("room", version), **drives, **step, record_step=STEP, master=master, isolate=False)
         exact = 1 - np.exp(-np.maximum(result.trace.time - at, 0.0))
         np.testing.assert_allclose(result[f"{name}.T"], exact, atol=1e-7)  # the tolerance of the solver
@@ -229,9 +226,7 @@ def test_an_array_of_event_indicators(fmu, tmp_path):
     scalar = re.compile(rb'(<Float64 name="z"[^>]*>)')
 
     def run_of(thermostat):
-        system = assemble(
-            {"room": fmu("room", 3), "thermo": thermostat}, ["room.T -> thermo.y", "thermo.on -> room.on"]
-        )
+        system = assemble({"room": fmu("room", 3), "thermo": thermostat}, HEATED)
         return run(system, stop=2.0, step=0.01, isolate=False)["room.T"]
 
     with zipfile.ZipFile(plain) as source, zipfile.ZipFile(double, "w") as target:
@@ -246,13 +241,11 @@ def test_an_array_of_event_indicators(fmu, tmp_path):
 def test_no_error_is_estimated_where_effects_may_be_late(fmu, kind):
     """Two runs may have them late by the same time: the card has the reason in place of a number."""
     fmus = {"room": fmu("room", 2), "thermo": fmu("thermo", 2)}
-    system = assemble(fmus, ["room.T -> thermo.y", "thermo.on -> room.on"])
+    system = assemble(fmus, HEATED)
     if kind == "events":
         system = assemble({"ball": fmu("ball", 2), "lag": fmu("lag", 2)}, ["ball.h -> lag.u"])
     late = "events of ball" if kind == "events" else "events of room, thermo.on"
     card = run(system, stop=2.0, step=0.01, error_estimate=True, isolate=False).card
     assert card.errors == ()
-    assert (
-        f"no error estimate: effects of {late} may come up to a step late, also in a run at half the step"
-        in card.notes
-    )
+    told = f"no error estimate: effects of {late} may come up to a step late, also in a run at half the step"
+    assert told in card.notes

@@ -63,16 +63,10 @@ def test_matrices_of_a_chain(chain):
     y = ["q.x", "q.y", "g.y", "room.T", "p.x", "p.y", "r.y"]
     assert [*map(str, chain.outputs)] == y
     # linear functions: rounding of values up to 1e3, over twice the step of the differences
-    for found, wanted in zip(
-        chain.matrices(),
-        (
-            [[-1, 0, -7], [0, -1, 0], [0, 0, -1]],
-            [[7 * -20], [0], [3 * 4]],
-            [[1, 0, 0], [1, 0, -11], [0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 1], [0, 0, 0]],
-            [[0], [11 * -20], [4], [0], [0], [20], [5]],
-        ),
-        strict=True,
-    ):
+    a, b = [[-1, 0, -7], [0, -1, 0], [0, 0, -1]], [[7 * -20], [0], [3 * 4]]
+    c = [[1, 0, 0], [1, 0, -11], [0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 1], [0, 0, 0]]
+    d = [[0], [11 * -20], [4], [0], [0], [20], [5]]
+    for found, wanted in zip(chain.matrices(), (a, b, c, d), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-7)
 
 
@@ -140,9 +134,6 @@ def test_the_magnitude_of_a_state_is_positive(chain, monkeypatch, given, magnitu
         monkeypatch.setattr(slave, "get_nominals", get)
     room = magnitude if magnitude == given else 1.0
     assert chain.magnitudes().tolist() == [magnitude, room, magnitude]
-
-
-# ---- events
 
 
 @pytest.mark.parametrize("more", [0, 1])

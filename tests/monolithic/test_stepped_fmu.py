@@ -27,30 +27,13 @@ def begun(fmu):
     return slave
 
 
-# ---- alone
-
-
-@pytest.mark.parametrize(("version", "step"), [(2, 0.3), (3, 0.5)])
-def test_time_events_are_at_their_times_and_may_end_the_simulation(fmu, version, step):
-    """Inside a step, at its end, and at the end of the run."""
-    name = f"counter{version}"
-    result = run(fmu("counter", version), stop=9.0, step=step, set={f"{name}.last": 3})
-    assert result[f"{name}.count"].tolist() == np.floor(result.trace.time + 1e-9).tolist()
-    assert result.trace.time[-1] == 3.0
-    assert "the FMU requests the end of the simulation at t = 3 s" in result.card.notes[-1]
-
-
 def test_a_step_event_is_that_of_the_fmu(fmu):
     """x' = 1 - x; after a solver's step to x > 0.3 the FMU sets x to 0."""
     result = run(fmu("lag", 2), stop=1.0, step=0.01, set={"lag2.u": 1.0, "lag2.limit": 0.3})
     t, x = result.trace.time, result["lag2.x"]
     assert x.max() < 0.31
     assert (np.diff(x) < 0).sum() == 2  # it takes log(1 / 0.7) = 0.36 s each time
-    # before the first event
-    np.testing.assert_allclose(x[t < 0.35], 1 - np.exp(-t[t < 0.35]), atol=1e-7)
-
-
-# ---- inputs
+    np.testing.assert_allclose(x[t < 0.35], 1 - np.exp(-t[t < 0.35]), atol=1e-7)  # before the first event
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -95,8 +78,7 @@ def test_a_step_can_be_repeated(fmu, version):
             slave.restore(saved)
             slave.step(0.1, 0.1)
             found.append((slave.get("x"), slave.get("v")))
-        # the tolerance of the solver is 1e-8
-        assert found[0] == pytest.approx(found[1], rel=1e-8)
+        assert found[0] == pytest.approx(found[1], rel=1e-8)  # the tolerance of the solver is 1e-8
 
 
 def test_a_step_with_an_event_needs_the_state_of_the_fmu(fmu):
@@ -204,9 +186,8 @@ def test_model_exchange_has_the_coupling_error_of_co_simulation(fmu_dir, master)
     assert max(found.values()) < 1e-6, max(found, key=found.get)
 
 
-@pytest.mark.parametrize(
-    ("master", "step"), [pytest.param(*case, marks=shards.machine) for case in STEPS.items()]
-)
+@shards.machine
+@pytest.mark.parametrize(("master", "step"), STEPS.items())
 def test_a_mixed_system_is_the_monolithic_solution(fmu_dir, master, step):
     """The steps are those at which the masters are so exact."""
     system = load(fmu_dir / "harvester.ssp").in_kind("ModelExchange", "manipulator")

@@ -158,21 +158,17 @@ def test_a_stroke_that_begins_in_the_last_look_is_no_jump(last, jumps):
     assert accuracy_search._jumps(Trace(np.arange(7.0), {"s.y": np.where(values > 0.1, 9.0, 0.0)}), "s.y")
 
 
-def test_what_a_scenario_drives_is_no_source(fmus):
-    """Its course is that of the scenario."""
+def test_looks_at_sources_that_are_none_and_looks_that_fail(fmus):
+    """What a scenario drives is no source; after a failed look nobody knows what the source does later."""
     system = assemble({"g": fmus["gain"], "d": fmus["drift"]}, ["g.y -> d.u"])
     assert looked_at(system, 1.0)[1] is not None
     assert looked_at(system, 1.0, {"time": RAMP["time"], "g.u": RAMP["u"]})[1] is None
-
-
-def test_a_look_that_fails_makes_the_accuracy_unknown(fmus):
-    """Nobody knows what the source does later; an interrupted look ends the command."""
     search, _ = looked_at(fed_mass(fmus, "plain", "pulses", **PWM), 1.0)
     looks = TraceInMemory()
     looks.begin(RowLayout(("s.y",), {}))
     search.heed(RunEnd(0.0, problem=Problem("broke")), looks)
     assert search._hidden == ["s.y"]
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt):  # which ends the command
         search.heed(RunEnd(0.0, interrupted=True), looks)
 
 
@@ -233,6 +229,9 @@ def test_the_next_step(open_oscillator, asked, error, ratio):
 
 def test_adaptive_steps_follow_where_equal_ones_would_be_too_short(open_oscillator):
     """At half of the accuracy beyond 50 times that error; then by the aim of 0.35, at most by half."""
+    # equal steps are divided where a signal jumps, by a guard of 1 %, if the FMUs can go back
+    for adapts, guard in ((True, 0.01), (False, None)):
+        assert searched(open_oscillator, 1e-3, 5.0, adapts=adapts).coupling.guard == guard
     for further, adaptive in (((), 5e-4), ((0.6,), 2.5e-4), ((1.4,), 1.25e-4), ((35.0,), 5e-5)):
         settings = searched(open_oscillator, 1e-3, 51.0, *further)
         assert settings.coupling.adaptive == pytest.approx(adaptive, rel=1e-4)  # see INSIDE
@@ -244,21 +243,14 @@ def test_adaptive_steps_follow_where_equal_ones_would_be_too_short(open_oscillat
     assert searched(open_oscillator, 1e-4, 0.51).coupling.adaptive == pytest.approx(5e-5, rel=1e-9)
 
 
-def test_steps_are_divided_where_a_signal_jumps(open_oscillator):
-    """By a guard of 1 %, if the FMUs can go back."""
-    for adapts, guard in ((True, 0.01), (False, None)):
-        assert searched(open_oscillator, 1e-3, 5.0, adapts=adapts).coupling.guard == guard
-
-
 def test_the_error_inside_the_fmus_counts(open_oscillator):
     """It is taken for half of their tolerance, if the user wants a loose one."""
     loose = Execution(accuracy_of=["a.x"], tolerance=1e-5)
     search = accuracy_search.AccuracySearch(open_oscillator, loose, 1e-6)
     card = Card("any", search.settings.step, 0.0, 10, 1.0, 1.0, errors_of_inputs=True)
     assert search.judge(Result(open_oscillator, Trace(np.zeros(1), {}), card)) is None
-    assert search.cost(10.0).startswith(
-        "accuracy 1e-06: the least error of 1 run is 5.0e-06; hermite, adaptive"
-    )
+    told = "accuracy 1e-06: the least error of 1 run is 5.0e-06; hermite, adaptive"
+    assert search.cost(10.0).startswith(told)
 
 
 def test_a_search_ends_where_further_runs_change_nothing(open_oscillator):

@@ -23,7 +23,6 @@ def adaptive(system, master, tolerance, stop=10.0, record_step=0.1, **more):
 
 # ---- error and number of steps
 
-
 FEW = {  # master, order, tolerance -> steps that it takes in 2 s, measured
     ("jacobi", 0, 1e-2): 5400,
     ("jacobi", 1, 1e-4): 4500,
@@ -34,13 +33,9 @@ FEW = {  # master, order, tolerance -> steps that it takes in 2 s, measured
     ("gauss-seidel", 3, 1e-5): 660,
     ("hermite", 3, 1e-5): 660,  # 420 where it repeats
 }
-
-
 STUCK = {"canGetAndSetFMUstate": "false"}
 # without repetition one order of each master: what differs then is the law alone, below
 STANDS = [("jacobi", 1, 1e-4), ("gauss-seidel", 3, 1e-5), ("hermite", 3, 1e-5)]
-
-
 CASES = [(settings, stuck) for stuck in (False, True) for settings in FEW]
 QUICK = [(settings, stuck) for settings, stuck in CASES if not stuck or settings in STANDS]
 
@@ -81,7 +76,6 @@ def test_steps_grow_where_nothing_happens(fmus):
 
 # ---- what is hit
 
-
 CORNERS = (0.0, 0.1234567, 0.3, 0.5000001, 0.7, 1.0 / 3.0 + 0.5, 1.0)
 
 
@@ -119,27 +113,19 @@ def test_a_corner_beside_an_output_time_makes_no_tiny_step(pushed):
 
 # ---- what happens to bad steps
 
-
 PUSH = Trace(np.array([0.0, 0.499, 0.501, 1.0]), {"a.u": np.array([0.0, 0.0, 50.0, 50.0])})
 
 
-@pytest.fixture
-def integrals(fmus):
-    """An integrator fed by that of a push, which cannot be extrapolated; and where none can go back."""
-    parts = (fmus.make("fails", f"jump_{len(a)}", interpolates=True, able=a) for a in ({}, STUCK))
-    return [assemble({"a": part, "b": part}, ["a.y -> b.u"]) for part in parts]
-
-
-def test_the_first_step_is_a_thousandth_of_the_given_one_where_it_cannot_be_repeated(integrals):
-    """A step of the given length that turned out too long could not be taken back."""
-    coupling = Coupling("jacobi", adaptive=1e-3)
-    first = [run(s, PUSH, master=coupling, step=0.05, stop=0.2).trace.time[1] for s in integrals]
-    assert first == pytest.approx([0.05, 5e-5], rel=1e-15)  # one product
-
-
-def test_bad_steps(integrals):
+def test_bad_steps(fmus):
     """They are repeated, counted, not recorded; where an FMU cannot go back only the next step is shorter."""
-    result, stuck = (run(s, PUSH, master=Coupling("jacobi", adaptive=1e-3)) for s in integrals)
+    # an integrator fed by that of a push, which cannot be extrapolated; and where none can go back
+    parts = (fmus.make("fails", f"jump_{len(a)}", interpolates=True, able=a) for a in ({}, STUCK))
+    integrals = [assemble({"a": part, "b": part}, ["a.y -> b.u"]) for part in parts]
+    master = Coupling("jacobi", adaptive=1e-3)
+    # the first step that could not be taken back is a thousandth of the given one
+    first = [run(s, PUSH, master=master, step=0.05, stop=0.2).trace.time[1] for s in integrals]
+    assert first == pytest.approx([0.05, 5e-5], rel=1e-15)  # one product
+    result, stuck = (run(s, PUSH, master=master) for s in integrals)
     assert result.card.repeated > 0
     assert f"{result.card.repeated} repeated" in result.card.text()
     assert len(result.trace.time) == result.card.steps + 1

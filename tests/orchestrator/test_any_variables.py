@@ -90,38 +90,18 @@ def test_a_transformation_of_whole_numbers_keeps_all_64_bits(fmus3):
     assert replace(connection, map=LinearTransformation(0.5, 1.0)).carried(3, real) == 2.5
 
 
-def test_no_boolean_feeds_an_enumeration(each):
-    """Which need not have an item 0."""
-    files = {"p": each["types"], "q": each["types"]}
-    message = problem(lambda: assemble(files, ["p.bool_out -> q.enum_in"]))
-    assert "variables of type Boolean and Enumeration cannot be connected" in message
-
-
-def test_what_64_bits_with_a_sign_do_not_hold_is_refused(fmus3, both):
-    """By name; never truncated."""
-    outcome = both(assemble({"p": fmus3["wide"]}), set={"p.uint64_in": 2**63})
-    assert outcome.error == f"uint64_out: expected a value in the range of int64, got {2**63}"
-
-
 @pytest.mark.parametrize("master", MASTERS)
 def test_narrower_types_feed_wider_ones(each, both, master):
     """Boolean to Integer and Real, Integer and Enumeration to Real, with a transformation."""
-    wires = [
-        ("p.int_out", "q.real_in", 0.5, 1.0),
-        ("p.bool_out", "q.int_in", 3, -1),
-        ("p.enum_out", "r.real_in", 2.0, 0.0),
-        ("p.bool_out", "r.int_in"),
-    ]
+    wires = [("p.int_out", "q.real_in", 0.5, 1.0), ("p.bool_out", "q.int_in", 3, -1)]
+    wires += [("p.enum_out", "r.real_in", 2.0, 0.0), ("p.bool_out", "r.int_in")]
     system = assemble({"p": each["types"], "q": each["types"], "r": each["types"]}, wires)
     moved = {"p.int_in": [3.0, 7, 7], "p.bool_in": [0.0, 1, 1], "p.enum_in": [1.0, 1, 2]}
     rows = Trace(np.array([0.0, 0.5, 1.0]), {n: np.array(v) for n, v in moved.items()})
     trace = both(system, master, scenario=rows, step=0.5).result.trace
-    for name, values in {
-        "q.real_in": 0.5 * trace["p.int_out"] + 1,
-        "q.int_in": 3 * trace["p.bool_out"] - 1,
-        "r.real_in": 2 * trace["p.enum_out"],
-        "r.int_in": trace["p.bool_out"],
-    }.items():
+    sent = {"q.real_in": 0.5 * trace["p.int_out"] + 1, "q.int_in": 3 * trace["p.bool_out"] - 1}
+    sent |= {"r.real_in": 2 * trace["p.enum_out"], "r.int_in": trace["p.bool_out"]}
+    for name, values in sent.items():
         np.testing.assert_array_equal(trace[name], values)
         assert np.ptp(values) > 0
 
@@ -147,8 +127,10 @@ def test_single_precision_passes(fmus3, both, master):
         np.testing.assert_allclose(found, doubles, atol=1e-6)  # seven digits, and as many steps
 
 
-def test_what_is_too_large_for_single_precision_is_infinite(fmus3, both):
-    """Called by C and by Python, without a warning of NumPy; the record refuses it."""
+def test_what_no_type_of_the_record_holds_is_refused(fmus3, both):
+    """By name, never truncated; in Float32 it is infinite, by C and by Python, without a warning of NumPy."""
+    outcome = both(assemble({"p": fmus3["wide"]}), set={"p.uint64_in": 2**63})
+    assert outcome.error == f"uint64_out: expected a value in the range of int64, got {2**63}"
     ramp = Trace(np.array([0.0, 1.0]), {"p.float32_in": np.array([0.0, 1e300])})
     outcome = both(assemble({"p": fmus3["wide"]}), scenario=ramp, step=0.5)
     assert outcome.error == "p.float32_out: expected a finite value, got inf at t = 0.5 s"
@@ -242,5 +224,4 @@ def test_a_ramp_of_a_microsecond_is_a_jump_at_its_end(fmus):
 def test_inputs_cannot_be_tunable(each):
     """The standard has no such inputs; a description with one is refused by name."""
     fmu = each.make("quirk", "tunable", changes={"u": {"steady": "tunable"}})
-    message = problem(lambda: assemble({"q": fmu}))
-    assert message.endswith("u: causality input with variability tunable is not allowed")
+    problem(lambda: assemble({"q": fmu}), "u: causality input with variability tunable is not allowed$")

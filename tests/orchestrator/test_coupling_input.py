@@ -226,6 +226,10 @@ def test_a_held_line_is_off_by_its_way(value, slope, before, h):
 
 def test_corners_of_autonomous_sources_and_the_largest_magnitude():
     """From a state it is a cubic; errors near zero are relative to the largest magnitude ever."""
+    # from the end of its motion on a free source is a line, whatever it did before
+    stopped = Input(autonomous=True, value=2.0, value_end=2.0, slope_before=1.0, chord_before=1.0)
+    stopped.interpolate(3, 0.5, 0.5)
+    assert stopped.deviation(0.5, 0) == 0.0
     for free, expected in ((True, (0.0, 1.0, 0.0, 0.0)), (False, (0.0, 1.0, 1.0, -1.0))):
         s = Input(autonomous=free)
         s.begin(0.0, 1.0)
@@ -268,13 +272,6 @@ def test_an_input_takes_the_numbers_of_another_but_not_its_wires():
         assert read(one, numbers) == expected
         assert read(one, wires) == wiring
     assert expected != before
-
-
-def test_a_free_source_that_has_stopped_is_foreseen():
-    """From the end of its motion on it is a line, whatever it did before."""
-    s = Input(autonomous=True, value=2.0, value_end=2.0, slope_before=1.0, chord_before=1.0)
-    s.interpolate(3, 0.5, 0.5)
-    assert s.deviation(0.5, 0) == 0.0
 
 
 @pytest.mark.parametrize("order", range(4))

@@ -29,11 +29,8 @@ POWERS = {
     "saw_pump.pump_friction_heat": 4e3,
     "arm.joint_friction_heat": 7e3,  # behind the load
 }
-ENERGIES = {
-    "crane.stored_energy": 12e3,
-    "pump.stored_energy": 10e3,
-    "arm.stored_energy": 5e3,
-}  # at the end [J]
+# at the end [J]
+ENERGIES = {"crane.stored_energy": 12e3, "pump.stored_energy": 10e3, "arm.stored_energy": 5e3}
 
 
 def crane(**changed):
@@ -66,9 +63,8 @@ def test_energies_are_the_integrals_of_what_the_names_tell():
 def test_runs_stand_side_by_side(tmp_path, monkeypatch, capsys):
     """A function that one run lacks, differences, JSON, a picture; a window in time is a part of it."""
     monkeypatch.chdir(tmp_path)
-    less = {n: None for n in POWERS if "lift_2" in n} | {
-        "pump.engine_power": crane()["pump.engine_power"] / 2
-    }
+    less = {n: None for n in POWERS if "lift_2" in n}
+    less["pump.engine_power"] = crane()["pump.engine_power"] / 2
     for name, trace in {"a.csv": crane(), "b.csv": crane(**less)}.items():
         write_trace(trace, name, "")
     assert main(["energy", "a.csv", "b.csv"]) == 0
@@ -85,17 +81,15 @@ def test_runs_stand_side_by_side(tmp_path, monkeypatch, capsys):
     assert found["remainder"] == pytest.approx(energy(crane().window(0, 1), "-").remainder)
 
 
+def bars(axes):
+    """Label and row of each bar -> its begin and its length."""
+    found = ((bar.get_label(), b) for bar in axes.containers for b in bar.patches)
+    return {(label, round(b.get_y() + 0.4)): (b.get_x(), b.get_width()) for label, b in found}
+
+
 def test_bars_are_as_long_as_what_they_show():
     """Of the engine and of each function, in kJ; negative parts are to the left of zero."""
-    figure = draw({"a": energy(crane(), "-")})
-    of_engine, of_functions = (
-        {
-            (bar.get_label(), round(b.get_y() + 0.4)): (b.get_x(), b.get_width())
-            for bar in axes.containers
-            for b in bar.patches
-        }
-        for axes in figure.axes
-    )
+    of_engine, of_functions = map(bars, draw({"a": energy(crane(), "-")}).axes)
     assert of_engine["leakage", 0] == pytest.approx((0, 30))
     assert of_engine["lift_2", 0] == pytest.approx((138, 60))
     assert of_functions["hose", 0] == pytest.approx((50, 20))

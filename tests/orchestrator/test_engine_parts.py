@@ -31,11 +31,10 @@ def test_the_clock_is_that_of_python():
         time.sleep(0.01)
 
 
-@pytest.fixture
-def scenario():
-    """Evaluates a table at a time, from C: value and rate of its second column in mm, and its samples."""
+def test_a_table_is_read_at_any_time_in_any_order():
+    """Straight between the samples, held before and after; the rate is that just after a sample."""
     times, rng = np.array([1.0, 1.5, 3.0, 4.0, 8.0]), np.random.default_rng(0)
-    columns = rng.normal(size=(5, 2))
+    columns = rng.normal(size=(5, 2))  # of which the second is read, in mm
     slopes = np.diff(columns, axis=0) / np.diff(times)[:, None]
     arrays = {
         "time": times,
@@ -58,29 +57,15 @@ def scenario():
         samples=5, width=2, count=1, rate_count=1, evaluated_at=np.nan,
     )  # fmt: skip
     binding.simulation.scenario, binding.simulation.reals = binding.pointer(struct), binding.at(reals)
-
-    def evaluated(t):  # the binding keeps the arrays
-        assert everything().scenario_set_inputs(ctypes.byref(binding.simulation), ctypes.c_double(t)) == 0
-        return reals[2], reals[0]
-
-    return evaluated, times, columns[:, 1]
-
-
-def test_a_table_is_read_at_any_time_in_any_order(scenario):
-    """Straight between the samples, held before and after; the rate is that just after a sample."""
-    evaluated, times, column = scenario
-    rng = np.random.default_rng(1)
+    column, rng = columns[:, 1], np.random.default_rng(1)
     visits = np.concatenate([times, [1.2, 0.5, 9.0, 3.5, 0.0], rng.permutation(np.linspace(0.0, 9.0, 91))])
     for t in rng.choice(visits, 1000).tolist():
         k = np.searchsorted(times, t, side="right")
         slope = (column[k] - column[k - 1]) / (times[k] - times[k - 1]) if 0 < k < len(times) else 0.0
-        value, rate = evaluated(t)
-        # rounding
-        assert value == pytest.approx(1e3 * np.interp(t, times, column) + 7.0, rel=1e-12, abs=1e-9)
-        assert rate == pytest.approx(1e3 * slope, rel=1e-12)
-
-
-# ---- the inputs of an FMU over a part of a step
+        assert everything().scenario_set_inputs(ctypes.byref(binding.simulation), ctypes.c_double(t)) == 0
+        # value and rate: rounding
+        assert reals[2] == pytest.approx(1e3 * np.interp(t, times, column) + 7.0, rel=1e-12, abs=1e-9)
+        assert reals[0] == pytest.approx(1e3 * slope, rel=1e-12)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 3])
@@ -120,9 +105,6 @@ def test_an_fmu_gets_the_nearest_polynomial_that_it_can_follow(degree, begin, la
     kept[0, [2, 1]] = [e[0] for e in expected] if begin == 0.0 else 0.0
     kept[1, [2, 1]] = [part(begin + length) for part in parts] if last else 0.0
     assert ends == pytest.approx(kept, **near)
-
-
-# ---- the error of a step
 
 
 class Step:

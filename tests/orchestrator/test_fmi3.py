@@ -45,9 +45,6 @@ def test_both_versions_give_the_same_numbers_also_mixed(fmus, fmus3, master):
     assert np.ptp(traces[0]["a.x"]) > 1.0
 
 
-# ---- types
-
-
 def test_numbers_of_all_widths_pass(fmus3):
     """From a scenario through an FMU and a connection; Float32 keeps seven digits."""
     lower = {kind: 0 if kind.startswith("U") else -7 for kind in WIDTHS}
@@ -95,9 +92,6 @@ def test_an_alias_is_the_variable_itself(fmus3):
     np.testing.assert_array_equal(trace["h.out"], 6 * trace["s.y"])
 
 
-# ---- instances
-
-
 def test_inputs_without_a_rate_input_accept_no_derivative(fmus3, started):
     """FMI 3.0 has no function that gives inputs a slope; whoever asks for it is told."""
     slave = started(fmus3["fails"])
@@ -126,23 +120,15 @@ def test_messages_tell_names():
         assert with_variable_names(text, {mark: "a.p"}) == "a.p of pump #4 is above #13#, #1"
 
 
-# ---- platforms
-
-
-def test_binaries_lie_in_the_folder_of_the_platform_tuple(fmus3, opened):
-    """The folder of FMI 2.0 does not count."""
-    with pytest.raises(Problem, match=rf"expected binaries/{fmpy.platform_tuple}/misplaced"):
-        opened(fmus3.make("gain", "misplaced", platform=fmpy.platform))
-
-
-def test_fmi2_knows_arm_by_its_tuple(fmus, monkeypatch, opened):
-    """linux64 does not tell the processor: on ARM aarch64-linux comes first, and linux64 may still do."""
+def test_binaries_lie_in_the_folder_of_the_platform_tuple(fmus, fmus3, monkeypatch, opened):
+    """In FMI 2.0 it comes first on ARM: linux64 does not tell the processor, but may still do."""
+    misplaced = fmus3.make("gain", "misplaced", platform=fmpy.platform)  # FMI 2.0's folder does not count
+    problem(lambda: opened(misplaced), rf"expected binaries/{fmpy.platform_tuple}/misplaced")
     monkeypatch.setattr(library, "PLATFORM_TUPLE", "aarch64-linux")
     monkeypatch.setattr(library, "FMI2_PLATFORM", "linux64")
     assert library.platform_folders(2) == ["aarch64-linux", "linux64"]
     opened(fmus.make("gain", "arm", platform="aarch64-linux")).close()
-    with pytest.raises(Problem, match="expected binaries/aarch64-linux/windows"):
-        opened(fmus.make("gain", "windows", platform="win64"))
+    problem(lambda: opened(fmus.make("gain", "windows", platform="win64")), "binaries/aarch64-linux/windows")
     monkeypatch.setattr(library, "PLATFORM_TUPLE", "x86_64-linux")
     assert library.platform_folders(2) == ["linux64", "x86_64-linux"]
 
@@ -172,12 +158,9 @@ def test_whoever_names_an_array_is_told(fmus3, name):
     """In a start value, a recorded signal, a column of a scenario or a connection."""
     fmu, port = fmus3.make("gain", "mixed", more=ARRAY), f"mixed.{name}"
     column = Trace(np.array([0.0, 1.0]), {port: np.zeros(2)})
-    for message in (
-        refusal(fmu, {port: 1.0}),
-        refusal(fmu, record=[port]),
-        refusal(fmu, scenario=column),
-        problem(lambda: assemble({"s": fmus3["source"], "mixed": fmu}, [f"s.y -> {port}"])),
-    ):
+    wired = problem(lambda: assemble({"s": fmus3["source"], "mixed": fmu}, [f"s.y -> {port}"]))
+    runs = refusal(fmu, {port: 1.0}), refusal(fmu, record=[port]), refusal(fmu, scenario=column)
+    for message in (*runs, wired):
         assert f"{port}: expected a scalar number or text, got a" in message
         assert message.endswith("not supported")
 
@@ -193,9 +176,8 @@ def test_an_fmu_of_arrays_only_is_told(tmp_path):
     """It has nothing that could be exchanged."""
     with zipfile.ZipFile(tmp_path / "arrays.fmu", "w") as archive:
         archive.write(Path(__file__).with_suffix(".xml"), "modelDescription.xml")
-    message = problem(lambda: load(tmp_path / "arrays.fmu"))
-    assert "arrays.fmu: input is an array of shape (2): " in message
-    assert message.endswith(", arrays are not supported")
+    told = r"arrays.fmu: input is an array of shape \(2\): .*, arrays are not supported$"
+    problem(lambda: load(tmp_path / "arrays.fmu"), told)
 
 
 def test_the_experiment_of_a_single_fmu_is_run(each):

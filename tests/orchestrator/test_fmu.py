@@ -109,8 +109,11 @@ def test_instances_are_freed(each, started):
         slave.close()
 
 
-def test_a_missing_binary_and_a_failed_start_are_told(each, opened):
+def test_a_missing_or_broken_binary_and_a_failed_start_are_told(each, opened, tmp_path):
     """Expected and found, with component and FMU; what the FMU says, with its printf arguments."""
+    (folder := tmp_path / "binaries" / fmpy.platform).mkdir(parents=True)
+    (folder / f"x{fmpy.sharedLibraryExtension}").write_text("no library")
+    problem(lambda: load_library(tmp_path, "x", 2, "label"), r"label: x\..* cannot be loaded")
     told = r"it \(.*foreign.fmu\): no binary for this platform: expected binaries/.*got binaries/amiga/f"
     problem(lambda: opened(each.make("gain", "foreign", platform="amiga")), told)
     problem(lambda: opened(each.make("gain", "bare", platform="")), "got no binaries at all")
@@ -166,22 +169,11 @@ def test_readers_and_writers_use_slices_in_place(each, started):
     slave.writer(["u", "factor", "offset"], values[1:4])()
     slave.reader(["y"], values[4:])()
     np.testing.assert_array_equal(values, [-1.0, 3.0, 2.0, 0.5, 6.5])
-
-
-def test_buffers_must_fit():
-    """A slice with gaps, or of another type, would be written beside."""
+    # a slice with gaps, or of another type, would be written beside
     with pytest.raises(ValueError, match="expected 2 contiguous values"):
         compatible_buffer(np.zeros(4)[::2], 2, ctypes.c_double)
     with pytest.raises(ValueError, match="float32"):
         compatible_buffer(np.zeros(2, np.float32), 2, ctypes.c_double)
-
-
-def test_a_broken_binary_is_told(tmp_path):
-    """The file that cannot be loaded is named."""
-    folder = tmp_path / "binaries" / fmpy.platform
-    folder.mkdir(parents=True)
-    (folder / f"x{fmpy.sharedLibraryExtension}").write_text("no library")
-    problem(lambda: load_library(tmp_path, "x", 2, "label"), r"label: x\..* cannot be loaded")
 
 
 def test_instances_leave_nothing_behind(each, opened):

@@ -35,43 +35,39 @@ def joined(fmus):
     return make
 
 
-def test_members_of_plugs_belong_together_by_name(joined):
-    """In any order, from the output to the input, whichever terminal is named first."""
-    turned = dict(reversed(B.items()))
-    assert joined(terminal(A), terminal(turned)) == WIRES
-    assert joined(terminal(A), terminal(B), "b.rod -> a.rod") == WIRES
+def both(a, b, *more, **options):
+    """Terminals with these members on either side."""
+    return terminal(a, *more, **options), terminal(b, *more, **options)
 
 
-def test_members_of_a_bus_that_only_one_has_are_left_out(joined):
-    """A plug with such members does not fit."""
-    assert joined(terminal(A, rule="bus"), terminal(B | {"speed": "v"}, rule="bus")) == WIRES
-    told = problem(lambda: joined(terminal(A), terminal(B | {"speed": "v"})))
-    assert told == "a.rod -> b.rod: expected the same members in both, got speed in one of them"
-
-
-def test_members_of_a_sequence_belong_together_by_order(joined):
-    """Whatever their names are."""
-    other = {"f": "force", "y": "x"}
-    assert joined(terminal(A, rule="sequence"), terminal(other, rule="sequence")) == WIRES
-
-
-def test_terminals_inside_of_others_have_their_path(joined):
-    """A terminal without kind fits one without kind."""
-    inner = [terminal(m, "tip", kind="") for m in (A, B)]
-    xml = [terminal({}, "rod", inside=text) for text in inner]
-    assert joined(*xml, "a.rod.tip -> b.rod.tip") == WIRES
+@pytest.mark.parametrize(
+    ("terminals", "wires"),
+    [
+        # plugs: by name, in any order, from the output to the input, whichever terminal is named first
+        (both(A, dict(reversed(B.items()))), ()),
+        (both(A, B), ("b.rod -> a.rod",)),
+        # a bus: members that only one has are left out; a sequence: by order, whatever the names are
+        (both(A, B | {"speed": "v"}, rule="bus"), ()),
+        (both(A, {"f": "force", "y": "x"}, rule="sequence"), ()),
+        # inside of another one, by the path; a terminal without kind fits one without kind
+        ([terminal({}, inside=text) for text in both(A, B, "tip", kind="")], ("a.rod.tip -> b.rod.tip",)),
+        ((terminal(A, "spring"), terminal(B, "plug")), ("a.spring -> b.plug",)),
+    ],
+)
+def test_members_belong_together(joined, terminals, wires):
+    """Each input is connected to the output that its matching rule says."""
+    assert joined(*terminals, *wires) == WIRES
 
 
 def test_a_variable_of_the_same_name_is_no_terminal(joined):
     """Both ends are terminals or both are variables; here `force` is both."""
-    xml = [terminal(m, "force") for m in (A, B)]
-    assert joined(*xml, "a.force -> b.force") == {"a.force -> b.force"}
-    assert joined(terminal(A, "spring"), terminal(B, "plug"), "a.spring -> b.plug") == WIRES
+    assert joined(*both(A, B, "force"), "a.force -> b.force") == {"a.force -> b.force"}
 
 
 @pytest.mark.parametrize(
     ("ours", "theirs", "wire", "message"),
     [
+        (A, terminal(B | {"speed": "v"}), "a.rod -> b.rod", "the same members in both, got speed in one of"),
         (A, terminal(B, kind="shaft"), "a.rod -> b.rod", "one kind, got rod (plug) and shaft (plug)"),
         (A, terminal(B, rule="bus"), "a.rod -> b.rod", "one kind, got rod (plug) and rod (bus)"),
         (A, terminal(B), "a.rod -> b.x", "two terminals, got a.rod and b.x"),

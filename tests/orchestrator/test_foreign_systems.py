@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from kit.any_fmu import description
 from kit.any_fmu.description import V
 from kit.mistakes import problem
 from kit.ssp import UNITS, connector, gain, inline, real, second, ssd, system, wire
@@ -40,18 +41,14 @@ def test_offsets_do_not_apply_to_differences(pair):
 
 def test_differences_through_connectors_of_a_file(pair, zip_ssp):
     """Which cannot say that they are differences: their FMUs do, at inputs, outputs and in parameter sets."""
-    inner = system(
-        [gain("b", inline(real("offset", 5, "degC")), "b.fmu")],
-        [wire("u", "b.u"), wire("b.y", "y")],
-        connector("u", "input", "degC") + connector("y", "output", "degC"),
-        name="inner",
-    )
+    b = gain("b", inline(real("offset", 5, "degC")), "b.fmu")
+    ports = connector("u", "input", "degC") + connector("y", "output", "degC")
+    inner = system([b], [wire("u", "b.u"), wire("b.y", "y")], ports, name="inner")
     wires = [wire("u", "a.u"), wire("a.y", "inner.u"), wire("inner.y", "y")]
     ports = connector("u", "input", "K") + connector("y", "output", "K")
     top = system([inner, gain("a", source="a.fmu")], wires, ports, inline(real("u", 3, "degC")))
     path = zip_ssp(ssd(top, CELSIUS), {f"{name}.fmu": fmu for name, fmu in pair.items()})
-    # sums of whole numbers
-    assert run(path, step=0.5, stop=0.5).trace["y"].tolist() == [8.0, 8.0]
+    assert run(path, step=0.5, stop=0.5).trace["y"].tolist() == [8.0, 8.0]  # sums of whole numbers
     assert run(path, step=0.5, stop=0.5, set={"u": "4 degC"}).trace["y"].tolist() == [9.0, 9.0]
 
 
@@ -71,8 +68,6 @@ def test_a_difference_does_not_become_a_temperature(each, zip_ssp):
 @pytest.mark.parametrize("units", [("odd", "m"), ("m", "odd"), ("odd", "Pa")])
 def test_without_a_base_unit_values_are_passed_unchanged(each, units, monkeypatch):
     """Whatever the name looks like: here that of an hour; with a note."""
-    from kit.any_fmu import description
-
     for name in ("h", "%", "C", "g"):
         monkeypatch.setitem(description.BASE, name, {})
         both = [name if u == "odd" else u for u in units]

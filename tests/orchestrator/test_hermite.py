@@ -20,8 +20,7 @@ ONE = Coupling("hermite", guard=0, passes=1)
 def test_the_undamped_oscillator_over_ten_seconds(moving, worst, coupling, step, bar):
     """Within the bars; no other tool tried comes below 1e-4 at 1e-3 s. The passes stand on the card."""
     result = run(moving, master=coupling, step=step, stop=10.0)
-    # measured 1.3e-5, 1.6e-9 (of which 4e-10 is the FMUs' own), 3.1e-4 and 3.2e-8
-    assert worst(result) < bar
+    assert worst(result) < bar  # measured 1.3e-5, 1.6e-9 (of which 4e-10 is the FMUs' own), 3.1e-4 and 3.2e-8
     assert result.card.steps == round(10 / step)
     assert result.card.passes == coupling.passes * result.card.steps
     assert ("2 passes each" in result.card.text()) == (coupling is TWO)
@@ -112,9 +111,7 @@ def test_it_stays_stable_where_held_inputs_run_away(moving, worst):
 
 
 @pytest.mark.parametrize(("coupling", "expected"), [(TWO, 4), (Coupling("gauss-seidel", 3), 2)])
-def test_slopes_that_are_missing_at_the_start_are_computed_from_values(
-    fmus, worst, order, coupling, expected
-):
+def test_slopes_that_are_missing_at_the_start_follow_from_values(fmus, worst, order, coupling, expected):
     """Some FMUs estimate slopes of outputs from their last step, and give NaN before the first one."""
     masses = (fmus.make(m, f"{m}_late", interpolates=True, also=[LATE]) for m in ("mass_a", "mass_b"))
     late = oscillator_of(*masses).with_start({"a.late": 1, "b.late": 1})

@@ -173,7 +173,7 @@ def test_traps_that_an_fmu_switches_on_end_no_process(tmp_path, phase):
 
 
 def test_a_time_limit_is_one_for_all_runs(oscillator, monkeypatch):
-    """Those of a search for an accuracy, and those of an estimate of errors."""
+    """Those of a search for an accuracy, which ends there, and those of an estimate of errors."""
     deadlines = []
 
     def noted(job, *arguments):
@@ -187,13 +187,8 @@ def test_a_time_limit_is_one_for_all_runs(oscillator, monkeypatch):
         run(oscillator, **options, time_limit=LONG)
         assert len(deadlines) > 1
         assert len(set(deadlines)) == 1
-
-
-def test_a_search_ends_at_the_time_limit(oscillator):
-    """After a complete run that is not accurate enough, and after one that failed."""
-    late = Execution(accuracy=1e-6, time_limit=1.0, deadline=0.0)
-    search = AccuracySearch(oscillator, late, 1e-6)
-    assert not search.goes_on()
+    search = AccuracySearch(oscillator, Execution(accuracy=1e-6, time_limit=1.0, deadline=0.0), 1e-6)
+    assert not search.goes_on()  # after a run that failed, nor after one that is not accurate enough
     coarse = run(oscillator, **STEPS)
     problem(lambda: search.judge(coarse), "^accuracy 1e-06: not reached: .*after 1 s$")
 

@@ -28,15 +28,9 @@ def ramp() -> Trace:
 def reference() -> Recording:
     """What the gain should do, in mm: y = 2 u."""
     t = np.linspace(0, 1, 11)
-    return Recording(
-        t,
-        {"gain.y": 8e3 * t},
-        {"gain.y": "mm"},
-        Path("ref.csv"),
-        title="Gain",
-        criteria={"gain.y": Criterion("Out", "out", tolerance=Tolerance("nrmse", 0.01))},
-        metadata={"title": "Gain", "kind": "measurement"},
-    )
+    criteria = {"gain.y": Criterion("Out", "out", tolerance=Tolerance("nrmse", 0.01))}
+    known = {"title": "Gain", "criteria": criteria, "metadata": {"title": "Gain", "kind": "measurement"}}
+    return Recording(t, {"gain.y": 8e3 * t}, {"gain.y": "mm"}, Path("ref.csv"), **known)
 
 
 def judged(fmu, ramp, reference, out, layout=None, factor=2.0):

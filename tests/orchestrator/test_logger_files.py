@@ -133,6 +133,7 @@ def zipped(name):
     return data.getvalue()
 
 
+DIADEM = "a header of DIAdem: export its channels"
 FOREIGN = {
     "log.mcap": (b"\x89MCAP0\r\n\x01" + bytes(90), "MCAP: export its topics as CSV"),
     "log.bag": (b"#ROSBAG V2.0\n" + bytes(90), "a ROS bag: export"),
@@ -148,14 +149,8 @@ FOREIGN = {
     "log.xlsx": (zipped("[Content_Types].xml"), "Excel: save the sheet as CSV"),
     "log.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(90), "Excel: save the sheet as CSV"),
     "plot.csv": (b"\x89PNG\r\n\x1a\n" + bytes(90), "a picture or a PDF: export its values as CSV"),
-    "log.tdm": (
-        b'<?xml version="1.0"?>\n<usi:tdm xmlns:usi="x" version="1.0">',
-        "a header of DIAdem: export its channels",
-    ),
-    "dia.dat": (
-        b"DIAEXTENDED  {@:ENGLISH\n\n#BEGINGLOBALHEADER\n",
-        "a header of DIAdem: export its channels",
-    ),
+    "log.tdm": (b'<?xml version="1.0"?>\n<usi:tdm xmlns:usi="x" version="1.0">', DIADEM),
+    "dia.dat": (b"DIAEXTENDED  {@:ENGLISH\n\n#BEGINGLOBALHEADER\n", DIADEM),
     "log.zip": (zipped("log.csv"), "an archive: unpack it"),
     "log.csv.gz": (gzip.compress(b"time,x\n0,1\n1,2\n"), "an archive: unpack it"),
     "log.csv": (b"PAR1\x15\x04" + bytes(90), "Parquet: name it .parquet"),

@@ -23,8 +23,6 @@ VARIABLES = {
     "run": {"y": np.arange(3.0), "inner": {"z": np.ones((2, 2))}, "a_name_of_thirty_characters____": 1},
     "cell": np.array([1, "a"], dtype=object),
 }
-
-
 NOT_NUMBERS = {
     **{"cell": "a cell array", "cell(:,2)": "a cell array", "inner.cell": "a cell array"},
     **{"run.y": "an array of structs", "thin": "a sparse array", "none": "an empty array"},

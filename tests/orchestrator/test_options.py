@@ -78,9 +78,8 @@ def test_the_default_that_a_text_states_is_what_happens(fmus, zip_ssp):
 
 def test_the_options_of_a_coupling_are_its_fields():
     """In the same order, by the same names but one."""
-    assert [FIELDS.get(name, name) for name in CouplingArguments.__annotations__] == [
-        field.name for field in fields(Coupling)
-    ]
+    names = [FIELDS.get(name, name) for name in CouplingArguments.__annotations__]
+    assert names == [field.name for field in fields(Coupling)]
 
 
 @pytest.mark.parametrize("function", GROUPS, ids=lambda function: function.__name__)

@@ -66,10 +66,8 @@ def test_hermite_has_order_four(oscillators, measured, passes, follow):
 
 def test_rates_of_fmi_3_do_as_well(oscillators):
     """The line by rate inputs in FMI 3.0 is the line by input derivatives in FMI 2.0, bit for bit."""
-    lines, rates = (
-        run(oscillators(*kind), master=CONVERGED, step=3.2e-2, stop=1.0).trace
-        for kind in (("lines", 2), ("rates", 3))
-    )
+    systems = oscillators("lines", 2), oscillators("rates", 3)
+    lines, rates = (run(s, master=CONVERGED, step=3.2e-2, stop=1.0).trace for s in systems)
     for name in ("a.x", "b.x"):
         np.testing.assert_array_equal(lines[name], rates[name])
 
@@ -92,10 +90,8 @@ def test_fmus_that_hold_their_inputs_gain_from_slopes(oscillators, measured, mas
     assert measured(system, Coupling(master, n)) == pytest.approx(2, abs=NEAR)
     assert not run(system, master=master, step=0.1, stop=0.1).card.notes
     (blind, _) = run(system, master=Coupling(master, n), step=1e-3, stop=1e-2).card.notes
-    assert blind == (
-        "input derivatives from differences of values, because the FMUs provide no output "
-        "derivatives: a.force"
-    )
+    assert blind.startswith("input derivatives from differences of values, because the FMUs provide no")
+    assert blind.endswith(" derivatives: a.force")
 
 
 @pytest.mark.parametrize(("follow", "master", "n"), thinned(SOME, ("curves", "rates", "held"), BOTH, (1, 2)))

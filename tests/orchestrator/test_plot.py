@@ -1,6 +1,5 @@
 """Figures of a run, and values and inputs as users write them: units, mappings, data frames, MATLAB files."""
 
-import json
 import os
 import shutil
 from pathlib import Path
@@ -80,8 +79,7 @@ def test_names_and_windows_of_a_figure():
     assert legends(waves(a__x="m", b__x="m", b__y="m").plot()) == [["a.x", "b.x", "y"]]
     (axes,) = waves(a__x="m").plot(start=0.25, stop=0.5).axes
     assert (axes.lines[0].get_xdata()[0], axes.lines[0].get_xdata()[-1]) == (0.25, 0.5)
-    with pytest.raises(Problem, match="expected two or more samples, got 0; the samples cover 0 to 1 s"):
-        waves(a__x="m").plot(start=2)
+    problem(lambda: waves(a__x="m").plot(start=2), "two or more samples, got 0; the samples cover 0 to 1 s")
 
 
 def test_runs_in_one_figure_have_the_colours_of_their_signals():
@@ -138,9 +136,6 @@ def test_with_a_display_a_window_opens(here, monkeypatch, capsys):
     assert list(here.iterdir()) == [here / "t.parquet"]
 
 
-# ---- MATLAB
-
-
 def test_a_matlab_file_has_structs_of_components_and_units(tmp_path):
     """Names that MATLAB does not know are replaced, long and reserved ones too; our reader restores them."""
     names = ["time_2", "arm.x", "arm.der(v)", "arm", "end.1st", "units.a", "a.b.c", "z" * 70]
@@ -163,21 +158,6 @@ def test_a_matlab_file_of_another_tool_is_a_scenario(tmp_path):
     scipy.io.savemat(tmp_path / "t.mat", {"command": np.arange(3.0)})
     with pytest.raises(Problem, match=r"t.mat: expected the first column to be named 'time', got 'command'"):
         read_trace(tmp_path / "t.mat")
-
-
-@pytest.mark.parametrize("suffix", [".mat", ".parquet"])
-@pytest.mark.usefixtures("here")
-def test_exported_runs_are_compared(fmus, suffix, capsys):
-    """`compare` reads what `run --out` wrote, with its units."""
-    assert main(["run", str(fmus["mass_b"]), "--stop", "0.1", "--out", f"a{suffix}"]) == 0
-    for end in (suffix, ".run.json"):
-        shutil.copy(f"a{end}", f"b{end}")
-    assert main(["compare", f"a{suffix}", f"b{suffix}"]) == 0
-    assert read_trace(f"a{suffix}").units == json.loads(Path("a.run.json").read_text())["units"]
-    assert "no units" not in capsys.readouterr().out
-
-
-# ---- units of values
 
 
 @pytest.fixture

@@ -53,10 +53,7 @@ def test_the_signature_of_run_has_every_option():
     names = set(inspect.signature(run).parameters)
     assert names == {"system", "scenario", "record", "execution", *declarations(RunArguments)}
     assert inspect.signature(run).parameters["stop"].default is None
-
-
-def test_the_default_accuracies_are_those_of_the_help():
-    """One place in the code; the text of the option names both."""
+    # one place in the code has the default accuracies; the text of the option names both
     told = " ".join(AccuracyArguments.__doc__.split())
     for before, name in (("all FMUs have directional derivatives", "run"), ("validate", "validate")):
         assert f"{before}: {DEFAULT_ACCURACY[name]:.0e}".replace("e-0", "e-") in told
@@ -90,10 +87,8 @@ def test_a_batch_is_a_mapping(built):
 def test_a_comparison_has_a_picture_and_a_table():
     """The table names the worst signal; rounding is no difference, and has no panel."""
     noise = trace(**{"arm.boom_angle": SIGNALS["arm.boom_angle"] * (1 + 1e-14)})
-    other = trace(
-        **{"arm.boom_angle": 1.1 * SIGNALS["arm.boom_angle"], "arm.boom_speed": np.sin(TIME) + 1e-15}
-    )
-    found = compare({"a": trace(), "b": other})
+    other = {"arm.boom_angle": 1.1 * SIGNALS["arm.boom_angle"], "arm.boom_speed": np.sin(TIME) + 1e-15}
+    found = compare({"a": trace(), "b": trace(**other)})
     assert "arm.boom_angle" in found._repr_html_()
     axes = found.plot().axes
     titles = [text.get_text() for a in axes for text in a.findobj(Text)]
@@ -110,9 +105,8 @@ def test_a_comparison_has_a_picture_and_a_table():
 def test_a_cell_that_ends_with_a_semicolon_shows_the_figure_once(quiet, monkeypatch):
     """IPython shows the value of a cell itself unless it ends so."""
     waiting, shown = [], []
-    events = SimpleNamespace(
-        register=lambda _, call: waiting.append(call), unregister=lambda _, call: waiting.remove(call)
-    )
+    events = SimpleNamespace(register=lambda _, call: waiting.append(call))
+    events.unregister = lambda _, call: waiting.remove(call)
     shell = SimpleNamespace(kernel=1, events=events, displayhook=SimpleNamespace(quiet=lambda: quiet))
     ipython = SimpleNamespace(get_ipython=lambda: shell, display=SimpleNamespace(display=shown.append))
     monkeypatch.setitem(sys.modules, "IPython", ipython)

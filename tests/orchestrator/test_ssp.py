@@ -50,12 +50,9 @@ def test_nested_systems_are_flattened(make):
     b = gain("b")
     for port, kind in (("u", "input"), ("y", "output")):
         b = b.replace(f'<ssd:Connector name="{port}" kind="{kind}"/>', connector(port, kind, "mm"))
-    inner = system(
-        [b],
-        [wire("demand", "b.u", '<ssc:LinearTransformation factor="10" offset="1"/>'), wire("b.y", "answer")],
-        connector("demand", "input", "m") + connector("answer", "output"),
-        name="inner",
-    )
+    ten = wire("demand", "b.u", '<ssc:LinearTransformation factor="10" offset="1"/>')
+    ports = connector("demand", "input", "m") + connector("answer", "output")
+    inner = system([b], [ten, wire("b.y", "answer")], ports, name="inner")
     wires = [
         wire("command", "inner.demand", '<ssc:LinearTransformation factor="2" offset="0.5"/>'),
         wire("inner.answer", "a.u", '<ssc:LinearTransformation factor="1" offset="1"/>'),

@@ -112,9 +112,8 @@ def table(folder):
         rows.append(f"|FMI 3.0|{element}|{outcome(workshop.make('types', f'p{n}', more=more))}|")
     for n, (element, text) in enumerate(SSP):
         (folder / f"{n}").mkdir()
-        edition = second(text).replace(
-            'version="2.0" name', f'version="{3 if "version 3" in element else 2}.0" name', 1
-        )
+        version = 3 if "version 3" in element else 2
+        edition = second(text).replace('version="2.0" name', f'version="{version}.0" name', 1)
         parts = {"SystemStructure.ssd": edition, "g.fmu": workshop["gain"].read_bytes()}
         rows.append(f"|SSP 2.0|{element}|{outcome(packed(folder / f'{n}' / 'system.ssp', parts))}|")
     return "\n".join(rows)

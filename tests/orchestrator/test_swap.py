@@ -126,14 +126,9 @@ def test_an_input_that_an_fmu_does_not_use_may_be_missing(fmus, oscillator):
     assert f"{loose} has no force: it does not use what the system would send there" in result.card.notes
     assert np.ptp(result.trace["b.x"]) > 0  # m: it swings by its own spring
     np.testing.assert_array_equal(result.trace["b.x"], alone.trace["b.x"])
-
-
-def test_no_cut_is_suggested_where_power_would_be_lost(fmus):
-    """Without one of its two connections a bond is cut."""
-    wires = ["b.v -> k.v", "k.force -> b.force"]
-    system = assemble({"k": fmus["spring"], "b": fmus["mass_b"]}, wires)
-    faulty = edited(fmus["mass_b"], "faulty", renamed("force"))
-    problem(lambda: with_swaps(system, {"b": faulty}), r"expected input force \[N\], got none$")
+    # no cut is suggested where power would be lost: without one of its two connections a bond is cut
+    bond = assemble({"k": fmus["spring"], "b": fmus["mass_b"]}, ["b.v -> k.v", "k.force -> b.force"])
+    problem(lambda: with_swaps(bond, {"b": other}), r"expected input force \[N\], got none$")
 
 
 def test_rate_ports_may_be_missing(fmus):
@@ -193,13 +188,6 @@ def test_what_is_declared_as_optional_may_be_missing(fmus):
         assert run(system, step=0.5, stop=1.0).card.warnings == warnings
 
 
-def test_a_lost_signal_of_the_system_is_refused(bench, fmus):
-    """Optional or not: what an input of the system feeds is needed."""
-    blind = edited(fmus["gain"], "blind", renamed("u"))
-    seeing = with_swaps(bench, {"g": optional(fmus["gain"], "seeing", "u")})
-    problem(lambda: with_swaps(seeing, {"g": blind}), r"expected input u \[m\], got none")
-
-
 def test_start_values_go_over_where_there_is_a_place(bench, fmus):
     """From the system and from a selected parameter set; a note lists values that are left out."""
     plain = edited(fmus["gain"], "plain", renamed("offset"))
@@ -226,11 +214,9 @@ def write(**files):
 
 def validated(reference="m.csv", scenario=None, default=("none.csv", "none.toml"), **options):
     """Validate the system of the bench; the reports go to out/. Returns the text of the card."""
-    system, usual = Path("build/harvester.ssp").resolve(), tuple(map(Path, default))
     files = [name and Path(name) for name in (scenario, reference)]
-    return validate_system(system, *files, None, Path("out"), default=usual, rate=False, step=0.5, **options)[
-        1
-    ]
+    options |= {"default": tuple(map(Path, default)), "rate": False, "step": 0.5}
+    return validate_system(Path("build/harvester.ssp").resolve(), *files, None, Path("out"), **options)[1]
 
 
 RESULT = '[signals.result]\nunit = "m"\n'
@@ -288,8 +274,10 @@ def test_the_command_line_swaps(capsys, fmus):
 
 
 def test_ports_of_the_system_are_checked_and_converted(bench, fmus):
-    """An input and an output of the outermost system."""
-    bare = edited(fmus["gain"], "bare", renamed("y"))
+    """Input and output of the outermost system; what an input of it feeds is needed, optional or not."""
+    seeing = with_swaps(bench, {"g": optional(fmus["gain"], "seeing", "u")})
+    blind, bare = (edited(fmus["gain"], f"no_{n}", renamed(n)) for n in "uy")
+    problem(lambda: with_swaps(seeing, {"g": blind}), r"expected input u \[m\], got none")
     problem(lambda: with_swaps(bench, {"g": bare}), r"expected output y \[m\], got none$")
     units = ('unit="m"', 'unit="mm"'), ('name="m"><BaseUnit m="1"', 'name="mm"><BaseUnit m="1" factor="1e-3"')
     small = edited(fmus["gain"], "small", *units)
@@ -314,7 +302,6 @@ def test_mistakes_of_a_swap_are_one_line(capsys, fmus, swap, message):
 
 
 # ---- the machine with other FMUs stays at rest
-
 
 JOINTS = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
 # Through closed valves oil leaks, 20 mL/min per edge, and the arm settles on it: 1.5e-4 rad/s at full reach.
@@ -348,9 +335,7 @@ def test_without_start_wires_the_machine_falls(system, fmu_dir):
 def test_an_actuator_may_lack_start_wires(system, fmu_dir, tmp_path):
     """An FMU without inputs for the holding forces is accepted, and the note names both."""
     ports = [f"{rod}_holding_force" for rod in ("boom", "stick")]
-    changes = [
-        change for port in ports for change in (renamed(port, f"no_{port}"), caused(f"no_{port}", "local"))
-    ]
+    changes = [c for p in ports for c in (renamed(p, f"no_{p}"), caused(f"no_{p}", "local"))]
     table = changed(fmu_dir / "boom_stick.fmu", tmp_path / "table.fmu", *changes)
     result = run(system, swap={"boom_stick": table}, stop=0.1)
     assert f"{table} has no {', '.join(ports)}: it does not use" in str(result.card.notes)

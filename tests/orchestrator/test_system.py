@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit.mistakes import problem, table
 
-from orchestrator import Problem, Trace, assemble, run
+from orchestrator import Trace, assemble, run
 from orchestrator.base.units import DeclaredUnit, LinearTransformation, conversion
 from orchestrator.engine.scenario import drive
 
@@ -119,12 +119,12 @@ def test_values_must_fit_the_type(chatter, values, message):
     problem(lambda: run(chatter, set=values), message)
 
 
-def test_types_match_at_connections(fmus):
-    """No silent rounding; test_any_variables.py drives them all by scenarios."""
-    files = {"p": fmus["types"], "q": fmus["types"]}
-    with pytest.raises(Problem, match="variables of type Real and Integer cannot be connected"):
-        assemble(files, ["p.real_out -> q.int_in"])
-    problem(lambda: assemble(files, ["p.echo -> q.label"]), "variables of type String")
+def test_types_match_at_connections(each):
+    """No silent rounding; no Boolean for an enumeration, which need not have an item 0."""
+    files = {"p": each["types"], "q": each["types"]}
+    told = "variables of type {} cannot be connected"
+    problem(lambda: assemble(files, ["p.real_out -> q.int_in"]), told.format("Real and Integer"))
+    problem(lambda: assemble(files, ["p.bool_out -> q.enum_in"]), told.format("Boolean and Enumeration"))
 
 
 @table(__file__, "columns", "column, message")
@@ -166,9 +166,8 @@ def test_a_column_silences_a_component_without_inputs(fmus):
     result = run(system, ramp, step=0.5, set={})
     np.testing.assert_array_equal(result.trace["p.u"], [0.0, 0.5, 1.0])
     np.testing.assert_array_equal(result.trace["q.u"], 0.0)
-    assert result.card.notes == (
-        "the scenario replaces s; inputs that are not in the scenario keep their start values: q.u",
-    )
+    told = "the scenario replaces s; inputs that are not in the scenario keep their start values: q.u"
+    assert result.card.notes == (told,)
 
 
 def test_the_slope_of_a_driven_input_is_not_lost(fmus):

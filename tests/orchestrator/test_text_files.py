@@ -5,7 +5,6 @@ import pytest
 from kit.any_fmu.models import Workshop
 from kit.mistakes import problem, table
 
-from fmus.identification.recordings.reading import read_series
 from orchestrator import Trace, assemble, read_recording, read_trace, run, write_trace
 from orchestrator.base import files
 from orchestrator.data.table import read_columns, time_axis
@@ -88,10 +87,7 @@ def test_one_description_for_every_use(log):
         np.testing.assert_allclose(trace["p"], [8e5, 18e5], rtol=1e-14)
         np.testing.assert_allclose(trace["u"], [0.5, 0.25], rtol=1e-14)
         assert dict(trace.units) == {"p": "Pa", "u": "V"}
-
-
-def test_a_description_may_only_say_how_the_file_is_written(log):
-    """Then the names in the file hold; a window of the time, too."""
+    # one that only says how the file is written: the names in the file hold; a window of the time, too
     meta = '[file]\nskip_lines = 1\n[time]\ncolumn = "Messzeit"\nunit = "ms"\nstart = 0.5\n'
     trace = read_trace(log("Logger 7\nn;Messzeit;u\n1;0;0\n2;500;1,5\n3;1000;2\n", meta))
     assert (trace.time.tolist(), trace["u"].tolist()) == ([0.5, 1.0], [1.5, 2.0])
@@ -127,18 +123,13 @@ def test_words_in_a_column_of_numbers_are_gaps(name, log, capsys):
     rows = [f"{k},{cell},{'OK' if k else 'start 1'}" for k, cell in enumerate(cells)]
     path = log("\n".join([f"t [s],{name},Status", *rows]) + "\n")
     (values,) = read_recording(path).values()
-    numbers = [float(cell.split()[0]) if cell[0].isdigit() else np.nan for cell in cells]
-    factor = 1 if name == "P" else 1e5  # bar
-    np.testing.assert_array_equal(values, factor * np.array(numbers))
+    numbers = np.array([float(cell.split()[0]) if cell[0].isdigit() else np.nan for cell in cells])
+    np.testing.assert_array_equal(values, numbers * (1 if name == "P" else 1e5))  # bar
     line = f"{path}: column {name!r}: gaps in place of {told}\n"
-    assert (
-        capsys.readouterr().err
-        == f"{line}{path}: line 2: column 'Status': expected a number, got 'start 1'; left out\n"
-    )
+    line += f"{path}: line 2: column 'Status': expected a number, got 'start 1'; left out\n"
+    assert capsys.readouterr().err == line
     described = f'[time]\ncolumn = "t"\n[signals.p]\ncolumn = "{name}"\nunit = "bar"\n'
-    np.testing.assert_array_equal(
-        read_recording(log(path.read_text(), described))["p"], 1e5 * np.array(numbers)
-    )
+    np.testing.assert_array_equal(read_recording(log(path.read_text(), described))["p"], 1e5 * numbers)
     path.with_suffix(".toml").unlink()
     problem(lambda: read_trace(path), "column 'P.*: expected a number, got '")
 
@@ -185,11 +176,8 @@ def test_a_labview_file_has_times_and_units_in_its_header(columns, tmp_path):
     """With a column of times for each channel, for all or none; the file may have commas and points, too."""
     between = "\t" if columns == "Multi" else ""
     text = HEADER.format(columns=columns, between=between, end=f"{between}\t") + LABVIEW[columns]
-    commas = text.replace(",", ".").replace("\t", ",")
-    for name, content in (
-        ("tabs.lvm", text),
-        ("commas.lvm", commas.replace("Separator,Tab", "Separator,Comma")),
-    ):
+    commas = text.replace(",", ".").replace("\t", ",").replace("Separator,Tab", "Separator,Comma")
+    for name, content in (("tabs.lvm", text), ("commas.lvm", commas)):
         path = tmp_path / name
         path.write_text(content, encoding="utf-8")
         trace = read_trace(path)
@@ -197,11 +185,7 @@ def test_a_labview_file_has_times_and_units_in_its_header(columns, tmp_path):
         found = {n: (v.tolist(), trace.units[n]) for n, v in trace.items()}
         assert found == {"P 1": ([1.5e5, 2.5e5, 3.5e5], "Pa"), "U": ([-2, -3, -4], "V")}
     for old, new, told in (
-        (
-            "0,020000{between}\t0,02",
-            "0,020000{between}\t0,04",
-            "expected one Delta_X, got 0,020000, 0,040000",
-        ),
+        ("{between}\t0,02", "{between}\t0,04", "expected one Delta_X, got 0,020000, 0,040000"),
         ("Delta_X", "Rate", "got one without X0, Delta_X or names"),
         ("X0\t", "***End_of_Header***\nX0\t", "expected one header of channels, got 2"),
     ):
@@ -266,11 +250,6 @@ def test_a_column_in_another_unit_drives_its_input(fmus: Workshop, log):
     problem(lambda: run(system, path), r"log.csv: column 'u': expected a unit like bar, got 'V'")
 
 
-def test_a_series_of_numbers_without_names_is_read_alike(log):
-    """Columns by index, in whatever form; the kind of file that public data sets have."""
-    assert read_series(log("0,5\t1\n1\t-2,5\n"), {"u": 0, "y": 1})["y"].tolist() == [1.0, -2.5]
-
-
 def test_a_decimal_comma_may_come_late(log):
     """The first comma decides, however late it comes."""
     rows = "".join(f"{k};{k % 5}\n" for k in range(60))
@@ -278,21 +257,17 @@ def test_a_decimal_comma_may_come_late(log):
 
 
 PLAIN = "Zeit [s];Druck [bar]\n0,0;1,5\n0,1;2,5\n"
-ABOVE = {
-    "title": "Prüfling: Harvester\nGerät;XY\n\n",
-    "commas": "Prüfer: A, B\n",
-    "wide": "Messung;Nr;7;von;9\n\n",
-}
+ABOVE = ["Prüfling: Harvester\nGerät;XY\n\n", "Prüfer: A, B\n", "Messung;Nr;7;von;9\n\n"]
 
 
-@pytest.mark.parametrize("name", ABOVE)
-def test_lines_above_the_names_are_left_out(name, log, capsys):
+@pytest.mark.parametrize("above", ABOVE, ids=["title", "commas", "wide"])
+def test_lines_above_the_names_are_left_out(above, log, capsys):
     """The names are in the last line before rows of their width; the message numbers the lines."""
-    path = log(ABOVE[name] + PLAIN)
+    path = log(above + PLAIN)
     columns = read_columns(path, None)
     found = {n: v.tolist() for n, v in columns.values.items()}
     assert found == {"Zeit [s]": [0, 0.1], "Druck [bar]": [1.5, 2.5]}
-    line = ABOVE[name].count("\n") + 1
+    line = above.count("\n") + 1
     assert columns.location(0) == f"{path}: line {line + 1}"
     assert f"the names are in line {line}\n" in capsys.readouterr().err
 

@@ -33,10 +33,8 @@ def first(whole, holds):
 @pytest.mark.parametrize(
     ("until", "holds"),
     [
-        ("a.x < -0.5", lambda x: x < -0.5),
-        ("a.x<=-50cm", lambda x: x <= -0.5),
-        ("a.x > 1e-1 m", lambda x: x > 0.1),
-        ("a.x >= 0.1", lambda x: x >= 0.1),
+        *(("a.x < -0.5", lambda x: x < -0.5), ("a.x<=-50cm", lambda x: x <= -0.5)),
+        *(("a.x > 1e-1 m", lambda x: x > 0.1), ("a.x >= 0.1", lambda x: x >= 0.1)),
     ],
 )
 def test_a_run_ends_at_the_first_row_where_the_condition_holds(oscillator, whole, isolate, until, holds):
@@ -118,9 +116,8 @@ def test_the_first_interrupt_ends_a_function_that_hangs(oscillator, whole, hang,
         run(oscillator, **STEPS, **options)
     rows = 50 + ("until" in options)  # that of the call is recorded before `until`, and after a master
     np.testing.assert_array_equal(interrupted.value.result.trace.time, whole.time[:rows])
-    assert interrupted.value.result.card.simulated == pytest.approx(
-        whole.time[rows - 1], rel=1e-12
-    )  # rounding
+    simulated = interrupted.value.result.card.simulated
+    assert simulated == pytest.approx(whole.time[rows - 1], rel=1e-12)  # rounding
     assert run(oscillator, **STEPS).trace == whole
 
 

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from kit.mistakes import problem
-from kit.ssp import bound, second, ssd, system, wire
+from kit.ssp import inline, second, ssd, system, wire
 
 from orchestrator import Trace, load, run
 from orchestrator.ssp.write import write_ssp
@@ -41,16 +41,10 @@ def part(name, bindings=""):
 
 def values(mapping_entries, **parameters):
     """A binding with a parameter mapping; parameters: name -> (element, value)."""
-    rows = "".join(
-        f'<ssv:Parameter name="{n}"><ssv:{kind} value="{v}"/></ssv:Parameter>'
-        for n, (kind, v) in parameters.items()
-    )
-    return bound(
-        "",
-        f"""<ssd:ParameterValues><ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>{rows}
-</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues><ssd:ParameterMapping>
-<ssm:ParameterMapping version="1.0">{mapping_entries}</ssm:ParameterMapping></ssd:ParameterMapping>""",
-    )
+    rows = [(n, f'<ssv:{kind} value="{v}"/>') for n, (kind, v) in parameters.items()]
+    text = f'<ssm:ParameterMapping version="1.0">{mapping_entries}</ssm:ParameterMapping>'
+    end = "</ssd:ParameterBinding>"
+    return inline(*rows).replace(end, f"<ssd:ParameterMapping>{text}</ssd:ParameterMapping>{end}")
 
 
 def entries(*pairs):
@@ -152,16 +146,10 @@ def test_outputs_of_the_system_are_mapped(make):
 
 def test_mappings_one_after_the_other(make):
     """Through the connectors of a system inside: a line, a table, a table; as each alone, in turn."""
-    inner = system(
-        [part("q")],
-        [wire("u", "q.int_in", mapping("Integer", (5, 50), (8, 1), (7, 70)))],
-        port("u", "input"),
-        name="inner",
-    )
+    first, then = mapping("Integer", (3, 8), (9, 7)), mapping("Integer", (5, 50), (8, 1), (7, 70))
+    inner = system([part("q")], [wire("u", "q.int_in", then)], port("u", "input"), name="inner")
     line = wire("p.int_out", "middle.u", '<ssc:LinearTransformation factor="2" offset="1"/>')
-    middle = system(
-        [inner], [wire("u", "inner.u", mapping("Integer", (3, 8), (9, 7)))], port("u", "input"), name="middle"
-    )
+    middle = system([inner], [wire("u", "inner.u", first)], port("u", "input"), name="middle")
     path = make([part("p"), middle], [line])
     found = driven(path, "middle.inner.q.int_in", p__int_in=[0, 1, 2, 3, 4, 5])
     # 3 5 7 9 11 13 behind the line, 8 5 7 7 11 13 behind the first table
@@ -169,7 +157,7 @@ def test_mappings_one_after_the_other(make):
 
 
 def test_parameters_are_mapped_by_their_type(make):
-    """With values of any spelling; what the mapping does not name is not set, with a note."""
+    """With values of any spelling; what the mapping does not name, or misspells, is not set, with a note."""
     inside = entries(
         ("n", "int_in", mapping("Integer", ("4", "-4"))),
         ("on", "bool_in", mapping("Boolean", ("true", "false"))),
@@ -182,6 +170,8 @@ def test_parameters_are_mapped_by_their_type(make):
     loaded = load(path)
     assert loaded.components["p"].start == {"int_in": -4, "bool_in": False, "enum_in": 2, "label": "you"}
     assert [n.partition(": ")[2] for n in loaded.notes] == ["left out, not in the mapping: gain, int_in"]
+    misspelt = values(entries(("m", "int_in")), n=("Integer", 1))
+    assert "the parameter set has no 'm'" in load(make([part("p", misspelt)], [])).notes[0]
 
 
 OTHER, HALF = mapping("Integer", (1, 2)), '<ssc:LinearTransformation factor="0.5"/>'
@@ -200,12 +190,6 @@ def test_parameter_mappings_that_cannot_be_are_told(make, pairs, told):
     """In one line."""
     given = values(entries(*pairs), n=("Integer", 1), m=("Integer", 2))
     problem(partial(load, make([part("p", given)], [])), f"{told}$")
-
-
-def test_a_mapping_of_a_parameter_that_is_not_there(make):
-    """A misspelt source is told."""
-    given = values(entries(("m", "int_in")), n=("Integer", 1))
-    assert "the parameter set has no 'm'" in load(make([part("p", given)], [])).notes[0]
 
 
 def test_items_that_no_enumeration_has_are_told(make):

@@ -70,9 +70,8 @@ def test_the_step_and_the_master_of_another_tool_are_followed(make, case):
     if coupling.adaptive is None:
         assert result.card.steps == 5  # of 0.02 s in 0.1 s
     said = f"the annotation of {tool}" if tool else "SimulationInformation of a draft of SSP"
-    assert [n for n in result.card.notes if n.startswith("coupled")] == [
-        f"coupled according to {said} in {system.source}"
-    ]
+    (followed,) = (n for n in result.card.notes if n.startswith("coupled"))
+    assert followed == f"coupled according to {said} in {system.source}"
 
 
 @table(__file__, "claims", "options, told")
@@ -176,7 +175,7 @@ def test_our_own_annotation_wins(make):
     assert (system.coupling, system.step) == (Coupling("gauss-seidel"), 0.05)
 
 
-# ---- slips
+# ---- slips and broken files
 
 
 def test_an_empty_element_name_is_the_system(make):
@@ -191,9 +190,6 @@ def test_an_empty_system_is_told(zip_ssp, capsys):
     text = re.sub(r"<ssd:Elements>.*</ssd:Connections>", "<ssd:Elements/>", ssd(), flags=re.S)
     told = refused(capsys, ["run", zip_ssp(text, {})])
     assert told.endswith("SystemStructure.ssd: the system has no components: expected at least one FMU\n")
-
-
-# ---- broken
 
 
 @pytest.fixture(scope="module")
