@@ -226,11 +226,11 @@ class Chain:
 
     def frames(self, q: ca.SX) -> list[Frame]:
         """Forward kinematics: the frame of each link."""
-        frames: list[Frame] = []
-        for link, x in zip(self.links, self._joints(q), strict=True):
-            base = Frame(ca.SX.eye(3), ca.SX(3, 1)) if link.parent is None else frames[link.parent]
-            origin = base.origin + base.rotation @ link.place(x)
-            frames.append(Frame(base.rotation @ link.rotation(x), origin))
+        frames, joints, base = list[Frame](), self._joints(q), Frame(ca.SX.eye(3), ca.SX(3, 1))
+        for link, turn, x in zip(self.links, self._turns(joints), joints, strict=True):
+            before, since = (base if k is None else frames[k] for k in (link.parent, turn.since))
+            origin = before.origin + before.rotation @ link.place(x)
+            frames.append(Frame(since.rotation @ turn.matrix, origin))
         return frames
 
     def position(self, q: ca.SX, link: int, at: Vector = (0, 0, 0)) -> ca.SX:

@@ -110,9 +110,8 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     machine = replace(machine, controller=controller(crane, machine), actuation=head)
     if not faults or machine.controller is None:
         return machine
-    functions: Any = machine.controller.dynamics
-    arm, mechanics = functions.__self__.arm, machine.subsystems[NAME]
-    found = diagnosis(arm, numbers(machine.controller)["parameters"], mechanics)
+    arm, shown = machine.controller.model.arm, numbers(machine.controller)["parameters"]
+    found = diagnosis(arm, shown, machine.subsystems[NAME])
     return replace(machine, sensors=sensors(machine.measured), diagnosis=found)
 
 

@@ -400,7 +400,7 @@ def test_a_log_that_is_slewed_needs_its_moment_of_inertia(tmp_path):
     found = []
     for each in (point, log):
         sub = manipulator(each)
-        own, v = sub.dynamics.__self__, values(sub)
+        own, v = sub.model, values(sub)
         p = nested(own.parameters, v.p)
         q = ca.DM([v.p[f"initial_{j.coordinate}"] for j in each.joints if not j.follows])
         motion = own.chain(p).equations(ca.SX(q), ca.SX(q * 0), own.payload(300, p))
@@ -444,7 +444,7 @@ def test_any_crane_moves_as_in_pinocchio(pin, text, seed):
     u = {n: rng.uniform(-1e3, 1e3) if n.endswith("torque") else 0.0 for n in of.inputs}
     dx, shown = of(np.array([*x.values()]), **u)
     rates = dict(zip(of.states, dx, strict=True))
-    own = of.sub.dynamics.__self__
+    own = of.sub.model
     chain = own.chain(nested(own.parameters, of.p))
     vectors = ("at", "centre", "inertia")
     numbers = [
