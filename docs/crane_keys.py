@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from fmus.crane.description import JointDescription, read
 from fmus.components.linkage import FourBar
 from fmus.crane.manipulator import manipulator
-from fmus.mechanics import Mechanics
+from fmus.joints import Mechanics
 from fmus.parameters import parameters
 from orchestrator.pages.figures import PALETTE
 from orchestrator.pages.plotting import new_figure, png

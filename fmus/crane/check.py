@@ -40,7 +40,7 @@ from fmus.crane.description import (
     JointDescription,
 )
 from fmus.crane.manipulator import manipulator
-from fmus.mechanics import Mechanics
+from fmus.joints import Mechanics
 from fmus.parameters import Number, Values, values
 from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable

@@ -47,7 +47,7 @@ from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import TEXTS, crane_tip, numbers_of
 from fmus.drives import cylinder, motor
 from fmus.machine.machine import Machine
-from fmus.mechanics import Mechanics
+from fmus.joints import Mechanics
 from fmus.parameters import Number, numbers, read, values
 from fmus.smooth import positive
 from orchestrator.base.errors import Problem

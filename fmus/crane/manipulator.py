@@ -1,4 +1,4 @@
-"""The manipulator of a crane: the joints of its description as data for `fmus.mechanics`.
+"""The manipulator of a crane: the joints of its description as data for `fmus.joints`.
 
 The payload is a point mass, or a slender bar. Passive joints start at rest, whatever the slope. Numbers of
 the description are parameters, except zeros: these are structure, so that a crane in one plane has the
@@ -29,7 +29,7 @@ from fmus.manipulator.variables import (
     ManipulatorParameters,
     ManipulatorState,
 )
-from fmus.mechanics import BARS, JointModel, Mechanics
+from fmus.joints import BARS, JointModel, Mechanics
 from fmus.parameters import Number, Tables
 
 NAME = "manipulator"

@@ -1,4 +1,4 @@
-"""The paper's manipulator as data for `fmus.mechanics`: its joints, and what its outputs show of them.
+"""The paper's manipulator as data for `fmus.joints`: its joints, and what its outputs show of them.
 
     M(q) q'' + V(q, q') + G(q) = tau + tau_pick-up             eq. (4), q = (swing, boom, stick, head)
     tau_swing = swing_torque - R_swing + tau_stop              eq. (8)
@@ -33,7 +33,7 @@ from fmus.manipulator.variables import (
     ManipulatorParameters,
     ManipulatorState,
 )
-from fmus.mechanics import Friction, JointModel, Mechanics
+from fmus.joints import Friction, JointModel, Mechanics
 
 SWING_STOP_ROUNDING = 1e-3  # rad, smoothing angle of the torque of the column's end stops
 PORTS = (

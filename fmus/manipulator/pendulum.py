@@ -36,7 +36,7 @@ from fmus.manipulator.friction import FrictionOutputs, FrictionParameters, Frict
 from fmus.manipulator.model import manipulator
 from fmus.manipulator.model import views as of_arm
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
-from fmus.mechanics import JointModel, Mechanics
+from fmus.joints import JointModel, Mechanics
 
 SIDE_LIMIT = 1.4  # rad; at the singularity the inertia of the first axis, (J + m L^2) cos(b)^2, is zero
 STOP_ROUNDING = 0.01  # rad, smoothing angle of the stop torque
