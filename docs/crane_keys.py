@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 from matplotlib.axes import Axes
 
-from fmus.crane.description import JointDescription, read
 from fmus.components.linkage import FourBar
+from fmus.crane.description import JointDescription, read
 from fmus.crane.manipulator import manipulator
 from fmus.joints import Mechanics
 from fmus.parameters import parameters

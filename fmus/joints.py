@@ -1,8 +1,8 @@
 """Mechanics of an arm: joints as data, from which the functions of a subsystem follow.
 
-    M(q) q'' + V(q, q') + G(q) = tau + tau_pick-up                                      paper eq. (4)
-    tau_i = J_i (F_i - R_piston,i + F_stop,i) - R_joint,i - k_i q_i + tau_stop,i        eqs. (5) to (7), a cylinder
-    tau_i = torque_i - R_joint,i - k_i q_i + tau_stop,i                                 eq. (8), a motor
+    M(q) q'' + V(q, q') + G(q) = tau + tau_pick-up                                   paper eq. (4)
+    tau_i = J_i (F_i - R_piston,i + F_stop,i) - R_joint,i - k_i q_i + tau_stop,i     cylinder: eqs. (5) to (7)
+    tau_i = torque_i - R_joint,i - k_i q_i + tau_stop,i                              motor: eq. (8)
 
 with the friction R of joint and piston, springs k, end stops, and J^T f of an external force and of the
 ground on the tip. M, V and G are those of the chain of links (`fmus.components.chain`), J those of the drives
@@ -178,11 +178,13 @@ class Mechanics:
 
     def coordinates(self, x: Any) -> ca.SX:
         """Of the states, shape (n, 1)."""
-        return column(*(getattr(x, j.coordinate) for j in self.free))
+        found: ca.SX = column(*(getattr(x, j.coordinate) for j in self.free))
+        return found
 
     def speeds(self, x: Any) -> ca.SX:
         """Of the states, shape (n, 1)."""
-        return column(*(getattr(x, f"{j.name}_speed") for j in self.free))
+        found: ca.SX = column(*(getattr(x, f"{j.name}_speed") for j in self.free))
+        return found
 
     def of_joints(self, s: ca.SX) -> ca.SX:
         """Coordinates or speeds of the joints from those of the states."""
@@ -253,8 +255,8 @@ class Mechanics:
                 stored += 0 if j.driven else stops[j.name].stored
             tau.append(own)
         both: ca.SX = column(*tau) if self.turn is None else ca.DM(self.turn).T @ column(*tau)
-        heat = sum((c.heat for c in (*friction.values(), *stops.values())), ca.SX(0))
-        heat += sum(f.stop.heat for f in pistons.values())
+        heat = sum((r.heat for r in friction.values()), ca.SX(0))
+        heat += sum(s.heat for s in (*stops.values(), *(f.stop for f in pistons.values())))
         stored += sum(r.stored for r in friction.values())
         ground, chain, load = None, self.chain(p), self.payload(0, p)
         force = column(*(applied[f"tip_force_{n}"] for n in "xyz")) if self.external else ca.SX(3, 1)
@@ -343,7 +345,7 @@ class Mechanics:
         }
         return nested(self.outputs, found | dict(self.views(self, q, w, x, p)))
 
-    def initial(self, x: Any, u: Any, p: Any) -> dict[str, Scalar]:
+    def initial(self, _: Any, u: Any, p: Any) -> dict[str, Scalar]:
         """The start pose from parameters, because not every tool can set the start value of an output.
 
         A payload that the input has at the start is held from the start.
@@ -352,12 +354,13 @@ class Mechanics:
         q = self.at_rest(q, u.payload_mass, p)
         return {**{j.coordinate: q[k] for k, j in enumerate(self.free)}, "held_mass": u.payload_mass}
 
-    def require(self, x: Any, u: Any, p: Any) -> dict[str, Scalar]:
+    def require(self, x: Any, _: Any, p: Any) -> dict[str, Scalar]:
         """Cylinders that close over their strokes, pistons within these, levers off their dead points."""
         found, levers, units = dict[str, Scalar](), dict[str, Scalar](), quantities(self.states)
         for name, piston in self.pistons(x, p).items():
             j, t = self.joint(name), piston.transmission
-            assert j.drive and j.piston
+            assert j.drive is not None
+            assert j.piston is not None
             drive, (stroke, _) = j.drive(p), j.piston(p)
             if isinstance(drive, Cylinder):
                 shortest, longest = reach(drive.base, drive.rod)

@@ -21,7 +21,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -276,11 +276,12 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     chain = of.chain(p)
     q = of.at_rest(q, 0, p)
     tip = chain.position(q, of.payload(0, p).link, of.payload(0, p).at)
-    arms = [of.transmission(a.joint.name, q[of.index(a.joint.name)], p).arm if a in axes else 1 for a in found]
+    at = [(a, of.index(a.joint.name)) for a in found]
+    arms = [of.transmission(a.joint.name, q[k], p).arm if a in axes else 1 for a, k in at]
     forces = []
     for mass in (0, 1):
         gravity = chain.equations(q, 0 * q, of.payload(mass, p)).gravity
-        torques = (gravity[of.index(a.joint.name)] for a in found)
+        torques = (gravity[k] for _, k in at)
         forces.append(ca.vertcat(*(t / arm for t, arm in zip(torques, arms, strict=True))))
     empty, more = forces
     results = [ca.norm_2(tip[:2]), tip[2], empty, more - empty]
@@ -319,9 +320,7 @@ def _transmission(of: Mechanics, joint: JointDescription, v: Values) -> ca.Funct
     return ca.Function("transmission", [q], [t.position, ca.SX(t.arm)])
 
 
-def _range(
-    of: Mechanics, joint: JointDescription, v: Values
-) -> tuple[float, float, tuple[float, float]]:
+def _range(of: Mechanics, joint: JointDescription, v: Values) -> tuple[float, float, tuple[float, float]]:
     """Ends of the coordinate over the stroke, least and largest lever."""
     unit, scale = ("deg", 180 / math.pi) if joint.kind == "revolute" else ("mm", 1e3)
     function, step = _transmission(of, joint, v), STEP[joint.kind]

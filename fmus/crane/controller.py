@@ -46,8 +46,8 @@ from fmus.crane.check import check, outputs_at_start
 from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import TEXTS, crane_tip, numbers_of
 from fmus.drives import cylinder, motor
-from fmus.machine.machine import Machine
 from fmus.joints import Mechanics
+from fmus.machine.machine import Machine
 from fmus.parameters import Number, numbers, read, values
 from fmus.smooth import positive
 from orchestrator.base.errors import Problem

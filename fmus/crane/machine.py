@@ -13,7 +13,6 @@ from dataclasses import replace
 from functools import cache, partial
 from keyword import kwlist
 from pathlib import Path
-from typing import Any
 
 from fmus import boom_stick, ports, swing
 from fmus import supply as supplies

@@ -21,6 +21,7 @@ from fmus.components.chain import Link, Payload, Vector, gravity_on_slope
 from fmus.components.linkage import Cylinder, Drive, FourBar, Telescope
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities
 from fmus.crane.description import INERTIAS, CraneDescription, JointDescription
+from fmus.joints import BARS, JointModel, Mechanics
 from fmus.manipulator.variables import (
     CylinderInputs,
     CylinderOutputs,
@@ -29,7 +30,6 @@ from fmus.manipulator.variables import (
     ManipulatorParameters,
     ManipulatorState,
 )
-from fmus.joints import BARS, JointModel, Mechanics
 from fmus.parameters import Number, Tables
 
 NAME = "manipulator"
@@ -138,7 +138,7 @@ def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
         stiffness=one("stiffness") if "stiffness" in own else None,
         motor=j.drive == "motor",
         drive=drive if has_cylinder else None,
-        piston=(lambda p: of(p, "stroke", "piston_damping")) if has_cylinder else None,
+        piston=(lambda p: (one("stroke")(p), one("piston_damping")(p))) if has_cylinder else None,
         follows=bool(j.follows),
         rests=not j.follows and j.drive == "none" and (j.kind == "revolute" or "stiffness" in own),
     )
@@ -161,8 +161,10 @@ def crane_tip(crane: CraneDescription, p: Any) -> tuple[int, Vector]:
     return names.index(way[-1].name), joint_model(crane, end).link(p).at
 
 
-def mechanics(crane: CraneDescription, *groups: type[Any]) -> Mechanics:
-    """The functions of the subsystem; groups: of parameters, states, inputs, outputs."""
+def mechanics(
+    crane: CraneDescription, parameters: type[Any], states: type[Any], inputs: type[Any], outputs: type[Any]
+) -> Mechanics:
+    """The functions of the subsystem with these groups."""
     names, (way, _) = [j.name for j in crane.joints], crane.arm
     slew = next((j for j in way if j.drive != "none"), way[0])
 
@@ -171,7 +173,10 @@ def mechanics(crane: CraneDescription, *groups: type[Any]) -> Mechanics:
         place = (p.tip_at_x, p.tip_at_y, p.tip_at_z)
         return Payload(names.index(crane.payload_on), place, mass, (*across, 0, 0, 0))
 
-    def views(of: Mechanics, q: ca.SX, w: ca.SX, x: Any, p: Any) -> dict[str, Scalar]:
+    def ground(p: Any) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+        return p.ground_height, p.ground_stiffness, p.ground_damping, p.ground_friction
+
+    def views(of: Mechanics, q: ca.SX, _w: ca.SX, _x: Any, p: Any) -> dict[str, Scalar]:
         chain, load = of.chain(p), payload(0, p)
         tip, end = chain.position(q, load.link, load.at), chain.position(q, *crane_tip(crane, p))
         across = (end - chain.position(q, names.index(slew.name)))[:2]
@@ -184,12 +189,15 @@ def mechanics(crane: CraneDescription, *groups: type[Any]) -> Mechanics:
         }
 
     return Mechanics(
-        tuple(joint_model(crane, j) for j in crane.joints),
-        *groups,
+        joints=tuple(joint_model(crane, j) for j in crane.joints),
+        parameters=parameters,
+        states=states,
+        inputs=inputs,
+        outputs=outputs,
         gravity=lambda p: gravity_on_slope(p.gravity, p.base_pitch, p.base_roll),
         payload=payload,
         views=views,
-        ground=(lambda p: tuple(getattr(p, n) for n in GROUND)) if crane.ground else None,
+        ground=ground if crane.ground else None,
         stored="elastic_energy",
         external=True,
     )

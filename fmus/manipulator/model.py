@@ -16,7 +16,7 @@ and knives hold the stem there; the moment of inertia is that of the empty head.
 The same equations by hand, in NumPy: tests/equations/transcription.py.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +26,14 @@ from fmus import ports
 from fmus.components.chain import Chain, Link, Payload, Vector
 from fmus.components.linkage import Cylinder
 from fmus.components.mechanics import Point
-from fmus.contract import Scalar, Subsystem
+from fmus.contract import Scalar, Subsystem, column
+from fmus.joints import Friction, JointModel, Mechanics
 from fmus.manipulator.variables import (
     ManipulatorInputs,
     ManipulatorOutputs,
     ManipulatorParameters,
     ManipulatorState,
 )
-from fmus.joints import Friction, JointModel, Mechanics
 
 SWING_STOP_ROUNDING = 1e-3  # rad, smoothing angle of the torque of the column's end stops
 PORTS = (
@@ -70,12 +70,16 @@ def _joint(name: str, parent: int, at: Callable[[Any], Vector], lever: float) ->
         slender = (0, own.inertia, own.inertia, 0, 0, 0)
         return Link(name, "revolute", "-y", at(p), parent, own.mass, (own.centre_x, 0, own.centre_z), slender)
 
+    def drive(p: Any) -> Cylinder:
+        base, rod = of(p).pins
+        return Cylinder(base, rod, of(p).closed_length)
+
     return JointModel(
         name=name,
         coordinate=f"{name}_angle",
         link=link,
         damping=lambda p: of(p).joint_damping,
-        drive=lambda p: Cylinder(*of(p).pins, of(p).closed_length),
+        drive=drive,
         piston=lambda p: (of(p).stroke, of(p).piston_damping),
         lever=lever,
         contact=f"{name}_joint",
@@ -111,10 +115,10 @@ def head(mass: Scalar, p: Any) -> Payload:
 
 
 def in_plane(boom: Scalar, stick: Scalar, p: Any) -> tuple[Point, Point]:
-    """Elbow (stick pivot) and tip (end of the stick) as (radius, height) [m], at angles of the joints [rad]."""
+    """Elbow (stick pivot) and tip (end of the stick), (radius, height) [m] at angles of the joints [rad]."""
     links = (Link("boom", "revolute", "-y", boom_pivot(p)), Link("stick", "revolute", "-y", elbow(p), 0))
-    ends = (0, 0, 0), tip(p)[1]
-    points = (Chain(links).position(ca.vertcat(boom, stick), 1, at) for at in ends)
+    q, ends = ca.SX(column(boom, stick)), ((0, 0, 0), tip(p)[1])
+    points = (Chain(links).position(q, 1, at) for at in ends)
     found = [(x, z) for x, _, z in map(ca.vertsplit, points)]
     return found[0], found[1]
 

@@ -32,11 +32,11 @@ import casadi as ca
 from fmus.components import friction
 from fmus.components.chain import Link, Payload
 from fmus.contract import Quantity, Scalar
+from fmus.joints import JointModel, Mechanics
 from fmus.manipulator.friction import FrictionOutputs, FrictionParameters, FrictionState, resist
 from fmus.manipulator.model import manipulator
 from fmus.manipulator.model import views as of_arm
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
-from fmus.joints import JointModel, Mechanics
 
 SIDE_LIMIT = 1.4  # rad; at the singularity the inertia of the first axis, (J + m L^2) cos(b)^2, is zero
 STOP_ROUNDING = 0.01  # rad, smoothing angle of the stop torque
