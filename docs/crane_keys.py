@@ -9,8 +9,10 @@ import casadi as ca
 import numpy as np
 from matplotlib.axes import Axes
 
+from fmus.components.linkage import FourBar
 from fmus.crane.description import JointDescription, read
-from fmus.crane.manipulator import CraneManipulator, manipulator
+from fmus.crane.manipulator import manipulator
+from fmus.joints import Mechanics
 from fmus.parameters import parameters
 from orchestrator.pages.figures import PALETTE
 from orchestrator.pages.plotting import new_figure, png
@@ -47,8 +49,7 @@ def draw() -> bytes:
     """Boom with its cylinder, and jib with its linkage, at the start pose."""
     crane = read(ROOT.parent / "examples" / "cranes" / "loader.toml")
     sub = manipulator(crane)
-    own: CraneManipulator = sub.dynamics.__self__  # type: ignore[attr-defined]
-    p, figure = parameters(sub), new_figure(11, 4.6, w_pad=0.1)
+    own, p, figure = sub.model, parameters(sub), new_figure(11, 4.6, w_pad=0.1)
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
     for axes, name in ((left, "boom"), (right, "jib")):
         _joint(axes, own, crane.joint(name), p)
@@ -59,7 +60,7 @@ def draw() -> bytes:
     return png(figure)
 
 
-def _joint(axes: Axes, own: CraneManipulator, j: JointDescription, p: object) -> None:
+def _joint(axes: Axes, own: Mechanics, j: JointDescription, p: object) -> None:
     """A joint at the origin, in the frame of its parent; the moving link turned by the start angle."""
     q = j.start.value
     turn = np.array([[np.cos(q), -np.sin(q)], [np.sin(q), np.cos(q)]])
@@ -77,7 +78,9 @@ def _joint(axes: Axes, own: CraneManipulator, j: JointDescription, p: object) ->
         _pin(axes, rod, "cylinder.pin", (38, 14))
     else:
         pivot, link = fixed[1], turn @ [j["link_x"], j["link_z"]]
-        rod = np.array(ca.evalf(ca.vertcat(*own.four_bar(j, p).rocker_end(q)))).ravel()
+        linkage = own.joint(j.name).drive(p)
+        assert isinstance(linkage, FourBar)
+        rod = np.array(ca.evalf(ca.vertcat(*linkage.rocker_end(q)))).ravel()
         for a, b, text, away in ((pivot, rod, "rocker", (-24, 4)), (rod, link, "coupler", (26, 12))):
             _line(axes, a, b, BAR, 3.0)
             _along(axes, a, b, text, BAR, away)

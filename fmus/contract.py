@@ -269,6 +269,7 @@ class Subsystem:
     connections   of a part of a known system, for its page: port, FMUs to connect to it (FMU.PORT if the
                   names differ), its rate port or nothing
     notes      what to know about these connections, in sentences
+    model      object whose methods the functions are, for what is made from the same equations
     """
 
     name: str
@@ -296,6 +297,7 @@ class Subsystem:
     names_of_variants: frozenset[str] = frozenset()
     connections: tuple[tuple[str, tuple[str, ...], str], ...] = ()
     notes: tuple[str, ...] = ()
+    model: Any = None
 
     def __repr__(self) -> str:
         return f"Subsystem({self.name!r}: {self.text})"

@@ -20,7 +20,7 @@ bodies", Wittenburg). M, V and G follow from T and U (`fmus.components.mechanics
 
 Axes, parents, kinds of joint and numbers that are plain zeros are structure: what they make zero is in no
 expression. All other numbers may be symbols. With numbers, and without common subexpressions, M, V and G are
-246 instructions of CasADi for the 3 joints of the paper's manipulator (205 by hand), 1562 for a crane with 7.
+246 instructions of CasADi for the 3 joints of the paper's manipulator, 1562 for a crane with 7.
 
 Signs: x forward, y to the left, z upwards in the base. A revolute joint turns counter-clockwise about its
 axis, a prismatic joint moves its link along its axis.
@@ -226,11 +226,11 @@ class Chain:
 
     def frames(self, q: ca.SX) -> list[Frame]:
         """Forward kinematics: the frame of each link."""
-        frames: list[Frame] = []
-        for link, x in zip(self.links, self._joints(q), strict=True):
-            base = Frame(ca.SX.eye(3), ca.SX(3, 1)) if link.parent is None else frames[link.parent]
-            origin = base.origin + base.rotation @ link.place(x)
-            frames.append(Frame(base.rotation @ link.rotation(x), origin))
+        frames, joints, base = list[Frame](), self._joints(q), Frame(ca.SX.eye(3), ca.SX(3, 1))
+        for link, turn, x in zip(self.links, self._turns(joints), joints, strict=True):
+            before, since = (base if k is None else frames[k] for k in (link.parent, turn.since))
+            origin = before.origin + before.rotation @ link.place(x)
+            frames.append(Frame(since.rotation @ turn.matrix, origin))
         return frames
 
     def position(self, q: ca.SX, link: int, at: Vector = (0, 0, 0)) -> ca.SX:

@@ -7,7 +7,6 @@ stick cylinder cannot reach the other solution.
 
 import math
 from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
 from typing import Any
 
 from fmus.components.chamber import BulkModulus, Density, Liquid
@@ -18,7 +17,8 @@ from fmus.contract import Group, Scalar, quantities
 from fmus.controller.arm import Arm, Choice, ControlledAxis, Coordinates, Pistons
 from fmus.controller.valve import Actuator
 from fmus.drives import cylinder, motor
-from fmus.manipulator import arm
+from fmus.manipulator.model import ARM as JOINTS
+from fmus.manipulator.model import in_plane
 from fmus.manipulator.variables import CylinderMount, ManipulatorParameters, OnColumn
 from orchestrator.base.errors import Problem
 
@@ -126,11 +126,11 @@ class HarvesterArm(Arm):
 
     def point(self, q: Coordinates, p: Any) -> Point:
         """Radius and height of the end of the stick."""
-        return arm.points(_pose(q), p)[1]
+        return in_plane(q[1], q[2], p)[1]
 
     def columns(self, q: Coordinates, p: Any) -> list[Point]:
         """Of boom and stick."""
-        (elbow_x, elbow_z), (tip_x, tip_z) = arm.points(_pose(q), p)
+        (elbow_x, elbow_z), (tip_x, tip_z) = in_plane(q[1], q[2], p)
         upper, lower = (
             (elbow_x - p.boom_pivot_x, elbow_z - p.boom_pivot_z),
             (tip_x - elbow_x, tip_z - elbow_z),
@@ -144,8 +144,8 @@ class HarvesterArm(Arm):
 
     def pistons(self, q: Coordinates, p: Any) -> Pistons:
         """Swing angle, pistons of boom and stick."""
-        found = zip(arm.triangles(_pose(q), p), (p.boom, p.stick), strict=True)
-        return [(q[0], 1), *((t.length - own.closed_length, t.arm) for t, own in found)]
+        found = (j.drive(p).at(x) for j, x in zip(JOINTS, q, strict=True) if j.drive)
+        return [(q[0], 1), *((t.position, t.arm) for t in found)]
 
     def actuators(self, positions: Sequence[Scalar], p: Any) -> dict[str, Actuator]:
         """Swing, boom and stick."""
@@ -168,10 +168,6 @@ class HarvesterArm(Arm):
             for n, own in (("boom", p.boom), ("stick", p.stick))
         )
         return boom | stick | motor.derive(p.swing, p)
-
-
-def _pose(q: Coordinates) -> Any:
-    return SimpleNamespace(boom_angle=q[1], stick_angle=q[2])
 
 
 ARM = HarvesterArm()

@@ -257,6 +257,7 @@ def controller_of(arm: Arm, found: Tables) -> Subsystem:
         terminals=tuple(ports.lever(a.name) for a in arm.axes),
         stiff=False,
         validity="valves and oil much faster than the commanded motion; swing angle not wrapped",
+        model=of,
     )
 
 

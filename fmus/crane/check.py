@@ -21,7 +21,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -39,7 +39,8 @@ from fmus.crane.description import (
     CraneDescription,
     JointDescription,
 )
-from fmus.crane.manipulator import CraneManipulator, manipulator
+from fmus.crane.manipulator import manipulator
+from fmus.joints import Mechanics
 from fmus.parameters import Number, Values, values
 from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable
@@ -192,7 +193,7 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
     if wrong := [(j.name, used[j.name]) for j in crane.joints if j.name in used]:
         raise Mistakes([f"{crane.file}: [{n}] expected another name of the joint: {why}" for n, why in wrong])
     sub = manipulator(crane)
-    of, v = functions(sub), values(sub)
+    of, v = sub.model, values(sub)
     load = crane.numbers["payload"]["payload_mass"].value
     start = outputs_at_start(sub, load) if start is None else start
     found, mistakes = list[AxisCheck](), list[str]()
@@ -210,13 +211,6 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
     return found
 
 
-def functions(sub: Subsystem) -> CraneManipulator:
-    """Those that a manipulator's subsystem is made of."""
-    own: Any = sub.dynamics
-    found: CraneManipulator = own.__self__
-    return found
-
-
 def outputs_at_start(sub: Subsystem, payload: float = 0.0) -> Mapping[str, float]:
     """Outputs of a manipulator at its start pose with a payload [kg]."""
     model, v = symbolic(sub), values(sub)
@@ -227,7 +221,7 @@ def outputs_at_start(sub: Subsystem, payload: float = 0.0) -> Mapping[str, float
 
 def _axis(
     crane: CraneDescription,
-    of: CraneManipulator,
+    of: Mechanics,
     joint: JointDescription,
     v: Values,
     start: Mapping[str, float],
@@ -258,37 +252,36 @@ def _axis(
     return AxisCheck(joint, low, high, levers, *forces, holding, lever, inertia, mode)
 
 
-def _inertia(of: CraneManipulator, joint: JointDescription, v: Values) -> float:
+def _inertia(of: Mechanics, joint: JointDescription, v: Values) -> float:
     """M_ii [kg.m2 or kg] at the start pose without payload."""
     p, q = nested(of.parameters, v.p), _coordinates(of, v)
     motion = of.chain(p).equations(q, 0 * q, of.payload(0, p))
-    k = [j.name for j in of.crane.joints if not j.follows].index(joint.name)
-    return float(ca.evalf(motion.mass[k, k]))
+    return float(ca.evalf(motion.mass[of.index(joint.name), of.index(joint.name)]))
 
 
-def _coordinates(of: CraneManipulator, v: Values) -> ca.SX:
+def _coordinates(of: Mechanics, v: Values) -> ca.SX:
     """Coordinates of the joints at the start, as the file has them."""
-    free = (j for j in of.crane.joints if not j.follows)
-    return ca.SX(ca.DM([v.p[f"initial_{j.coordinate}"] for j in free]))
+    return ca.SX(ca.DM([v.p[f"initial_{j.coordinate}"] for j in of.free]))
 
 
 def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     """Loads over the strokes of all pistons; a crane without one holds no load."""
     sub = manipulator(crane)
-    of, v = functions(sub), values(sub)
+    of, v = sub.model, values(sub)
     p = nested(of.parameters, v.p)
-    free, axes = [j for j in crane.joints if not j.follows], [a for a in found if math.isfinite(a.low)]
+    axes = [a for a in found if math.isfinite(a.low)]
     s, q = ca.SX.sym("s", len(axes)), _coordinates(of, v)
     for k, a in enumerate(axes):
-        q[free.index(a.joint)] = s[k]
+        q[of.index(a.joint.name)] = s[k]
     chain = of.chain(p)
     q = of.at_rest(q, 0, p)
     tip = chain.position(q, of.payload(0, p).link, of.payload(0, p).at)
-    arms = [of.transmission(a.joint, q[free.index(a.joint)], p).arm if a in axes else 1 for a in found]
+    at = [(a, of.index(a.joint.name)) for a in found]
+    arms = [of.transmission(a.joint.name, q[k], p).arm if a in axes else 1 for a, k in at]
     forces = []
     for mass in (0, 1):
         gravity = chain.equations(q, 0 * q, of.payload(mass, p)).gravity
-        torques = (gravity[free.index(a.joint)] for a in found)
+        torques = (gravity[k] for _, k in at)
         forces.append(ca.vertcat(*(t / arm for t, arm in zip(torques, arms, strict=True))))
     empty, more = forces
     results = [ca.norm_2(tip[:2]), tip[2], empty, more - empty]
@@ -320,16 +313,14 @@ def lifting_moment(found: Sequence[AxisCheck]) -> float:
     return first.push * first.levers[1] if first else 0.0
 
 
-def _transmission(of: CraneManipulator, joint: JointDescription, v: Values) -> ca.Function:
+def _transmission(of: Mechanics, joint: JointDescription, v: Values) -> ca.Function:
     """q -> position, lever."""
     q, p = ca.SX.sym("q"), nested(of.parameters, v.p)
-    t = of.transmission(joint, q, p)
+    t = of.transmission(joint.name, q, p)
     return ca.Function("transmission", [q], [t.position, ca.SX(t.arm)])
 
 
-def _range(
-    of: CraneManipulator, joint: JointDescription, v: Values
-) -> tuple[float, float, tuple[float, float]]:
+def _range(of: Mechanics, joint: JointDescription, v: Values) -> tuple[float, float, tuple[float, float]]:
     """Ends of the coordinate over the stroke, least and largest lever."""
     unit, scale = ("deg", 180 / math.pi) if joint.kind == "revolute" else ("mm", 1e3)
     function, step = _transmission(of, joint, v), STEP[joint.kind]
@@ -451,7 +442,7 @@ def _compared(
 def drawing(crane: CraneDescription, loads: Capacity) -> Figure:
     """Side view: the working range of the tip, coloured by the load that can be held; the start pose."""
     sub = manipulator(crane)
-    of, v = functions(sub), values(sub)
+    of, v = sub.model, values(sub)
     p = nested(of.parameters, v.p)
     chain, load = of.chain(p), of.payload(0, p)
     q = of.at_rest(_coordinates(of, v), 0, p)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -45,8 +44,9 @@ from fmus.controller.valve import Actuator
 from fmus.controller.variables import parameters
 from fmus.crane.check import check, outputs_at_start
 from fmus.crane.description import CraneDescription, JointDescription
-from fmus.crane.manipulator import TEXTS, CraneManipulator, numbers_of
+from fmus.crane.manipulator import TEXTS, crane_tip, numbers_of
 from fmus.drives import cylinder, motor
+from fmus.joints import Mechanics
 from fmus.machine.machine import Machine
 from fmus.parameters import Number, numbers, read, values
 from fmus.smooth import positive
@@ -103,8 +103,7 @@ class CraneArm(Arm):
     """A crane as its controller knows it."""
 
     def __init__(self, crane: CraneDescription, manipulator: Subsystem) -> None:
-        own: Any = manipulator.dynamics
-        self.of: CraneManipulator = own.__self__
+        self.of: Mechanics = manipulator.model
         self.crane, self.joints = crane, controlled(crane)
         known = {n: x.value for n, x in numbers(manipulator)["parameters"].items()}
         self.constants = nested(self.of.parameters, known)
@@ -146,19 +145,15 @@ class CraneArm(Arm):
     def _full(self, q: Coordinates) -> ca.SX:
         """Coordinates of all joints, the column and those behind the tip at 0."""
         moved = dict(zip((j.name for j in self.joints[1:]), q[1:], strict=True))
-        full: ca.SX = column(*(moved.get(j.name, 0) for j in self.crane.joints if not j.follows))
+        full: ca.SX = column(*(moved.get(j.name, 0) for j in self.of.free))
         return full
-
-    @cached_property
-    def _free(self) -> list[str]:
-        return [j.name for j in self.crane.joints if not j.follows]
 
     # ---- what an arm is
 
     def point(self, q: Coordinates, p: Any) -> Point:
         """Distance of the crane tip from the slewing axis, and its height."""
         known = self._known(p)
-        x, _, z = ca.vertsplit(self.of.chain(known).position(self._full(q), *self.of.crane_tip(known)))
+        x, _, z = ca.vertsplit(self.of.chain(known).position(self._full(q), *crane_tip(self.crane, known)))
         return x - getattr(getattr(p, self.joints[0].name), "at_x", 0), z
 
     def columns(self, q: Coordinates, p: Any) -> list[Point]:
@@ -166,9 +161,9 @@ class CraneArm(Arm):
         known, full, found = self._known(p), self._full(q), list[Point]()
         chain = self.of.chain(known)
         for j in self.joints[1:]:
-            unit = ca.SX(len(self._free), 1)
-            unit[self._free.index(j.name)] = 1
-            x, _, z = ca.vertsplit(chain.velocity(full, unit, *self.of.crane_tip(known)))
+            unit = ca.SX(len(self.of.free), 1)
+            unit[self.of.index(j.name)] = 1
+            x, _, z = ca.vertsplit(chain.velocity(full, unit, *crane_tip(self.crane, known)))
             found.append((x, z))
         return found
 
@@ -194,7 +189,7 @@ class CraneArm(Arm):
     def pistons(self, q: Coordinates, p: Any) -> Pistons:
         """Angle of the column; pistons."""
         known = self._known(p)
-        found = (self.of.transmission(j, x, known) for j, x in zip(self.joints[1:], q[1:], strict=True))
+        found = (self.of.transmission(j.name, x, known) for j, x in zip(self.joints[1:], q[1:], strict=True))
         return [(q[0], 1), *((t.position, t.arm) for t in found)]
 
     def actuators(self, positions: Sequence[Scalar], p: Any) -> dict[str, Actuator]:
@@ -326,8 +321,7 @@ def start_pose(
     tip     radius [m], height [m], slewing angle [rad]
     given   parameters of the manipulator that replace those of the description
     """
-    functions: Any = sub.dynamics
-    arm, v = functions.__self__.arm, values(sub)
+    arm, v = sub.model.arm, values(sub)
     p = nested(sub.parameters, {**v.p, **given})
     q, want = ca.SX.sym("q", len(arm.axes)), ca.SX.sym("v", 2)
     each = ca.vertsplit(q)
@@ -357,13 +351,12 @@ def hanging_sway(sub: Subsystem, component: Component) -> tuple[float, float] | 
     sub         manipulator of the crane
     component   it in a system, with its parameters and payload
     """
-    functions: Any = sub.dynamics
-    of, own, v = functions.__self__, component.real_parameters(), values(sub)
-    free = [j for j in of.crane.joints if not j.follows]
-    hanging = [k for k, j in enumerate(free) if j.drive == "none" and j.kind == "revolute"]
+    of: Mechanics = sub.model
+    own, v, free = component.real_parameters(), values(sub), of.free
+    p = nested(of.parameters, {n: own.get(n, x) for n, x in v.p.items()})
+    hanging = [k for k, j in enumerate(free) if j.rests and j.link(p).joint == "revolute"]
     if not hanging:
         return None
-    p = nested(of.parameters, {n: own.get(n, x) for n, x in v.p.items()})
     held = float(component.value("payload_mass"))
     q, at = ca.SX.sym("q", len(free)), [getattr(p, f"initial_{j.coordinate}") for j in free]
     motion = of.chain(p).equations(q, ca.SX.zeros(len(free)), of.payload(held, p))

@@ -8,18 +8,16 @@ or follow from those that it has (`_settings`, `_sized`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from keyword import kwlist
 from pathlib import Path
-from typing import Any
 
 from fmus import boom_stick, ports, swing
 from fmus import supply as supplies
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
-from fmus.composition import compose
 from fmus.contract import Quantity, Subsystem, family, make_group, quantities
 from fmus.controller.paths import Pose
 from fmus.crane.check import outputs_at_start
@@ -38,12 +36,14 @@ from fmus.drives.motor import MOTOR
 from fmus.drives.quasistatic import QUASISTATIC
 from fmus.export.build import build_all
 from fmus.faults import CYLINDER_ADDITIONS, MOTOR_ADDITIONS, faulty
+from fmus.machine import ssp
 from fmus.machine.feasible import Mechanics
-from fmus.machine.machine import Connections, Machine
+from fmus.machine.machine import Machine
+from fmus.machine.one_block import one_block
 from fmus.machine.path_following import TrackedMachine
 from fmus.operator_input.model import AXES, OperatorOutputs, operator
 from fmus.package_files import SUBFOLDERS
-from fmus.parameters import Number, numbers, parameters, values
+from fmus.parameters import Number, numbers, parameters
 from fmus.sensors import sensors
 from fmus.supply import SUPPLY, supply
 from fmus.valve_actuation import actuation
@@ -51,9 +51,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import VARIANTS
 from orchestrator.base.text import MODELICA
 from orchestrator.check.rules.variables import C
-from orchestrator.ssp.load import assemble
 from orchestrator.ssp.system import System
-from orchestrator.ssp.write import write_ssp
 
 FIDELITIES: Mapping[str, tuple[Fidelity, str, str]] = {
     "lumped": (
@@ -78,14 +76,12 @@ STEP, STOP = 1e-3, 20.0  # communication step and stop time of the system [s]
 FIRST, APART = 1.0, 2.5  # s: begin of the first stroke of the program, and between two joints
 STROKE = {"command": 3.0, "rise": 0.5, "hold": 0.5, "fall": 0.5}  # V, s; the next one goes back
 HELD = 1e6  # s, for which a payload of the description is held
-CONTROLLER, FLOW = "controller", "_section_flow"
 SOURCE = "crane.toml"  # the description, in the resources of a system
 SETTINGS = (  # that the paper's machine has as multiples of its supply pressure
     *("pressure_cut_off", "pump_1_pressure_setting", "pump_2_pressure_setting"),
     *("relief_pressure", "port_relief_pressure", "counterbalance_pressure", "counterbalance_band"),
 )
 HEAVY = 1 / 8  # of the supply pressure: a side that carries more at the start has a low pilot ratio
-TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 
 
 def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
@@ -110,9 +106,8 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     machine = replace(machine, controller=controller(crane, machine), actuation=head)
     if not faults or machine.controller is None:
         return machine
-    functions: Any = machine.controller.dynamics
-    arm, mechanics = functions.__self__.arm, machine.subsystems[NAME]
-    found = diagnosis(arm, numbers(machine.controller)["parameters"], mechanics)
+    arm, shown = machine.controller.model.arm, numbers(machine.controller)["parameters"]
+    found = diagnosis(arm, shown, machine.subsystems[NAME])
     return replace(machine, sensors=sensors(machine.measured), diagnosis=found)
 
 
@@ -278,25 +273,6 @@ def _operator(crane: CraneDescription) -> Subsystem:
     return replace(made, numbers={"parameters": found, "start": {}})
 
 
-def one_block(crane: CraneDescription, machine: Machine) -> Subsystem:
-    """The machine as one FMU."""
-    hidden = [source for source, _ in machine.rates + machine.holding if not source.endswith("acceleration")]
-    hidden += [f"{n}.{n}_load_pressure_rate" for n in machine.subsystems if n != NAME]
-    return compose(
-        name=crane.file.stem,
-        text=f"Crane as one block: {crane.title}",
-        subsystems=machine.subsystems,
-        connections=machine.connections,
-        inputs=machine.inputs,
-        hidden=hidden,
-        totals=TOTALS,
-        terminals=(
-            *(ports.lever(j.name) for j in crane.driven),
-            *(ports.grip(), ports.supply_line(), ports.return_line()),
-        ),
-    )
-
-
 def build_crane(
     crane: CraneDescription,
     folder: Path,
@@ -309,50 +285,22 @@ def build_crane(
     machine = crane_machine(crane, faults)
     others = [s for v in machine.families.values() for s in v.values() if s.name != s.component]
     driver = (machine.controller, machine.actuation, machine.sensors, machine.diagnosis)
-    subs = [*others, one_block(crane, machine), *machine.components.values(), *filter(None, driver)]
+    title, axes = f"Crane as one block: {crane.title}", [j.name for j in crane.driven]
+    whole = one_block(machine, machine.subsystems, axes, name=crane.file.stem, text=title)
+    subs = [*others, whole, *machine.components.values(), *filter(None, driver)]
     folders = {fmi: folder / SUBFOLDERS[fmi] for fmi in versions}
     built = build_all(
         subs, folders, STEP, STOP, platforms, {s.name: VARIANTS for s in others}, progress=progress
     )
-    paths = list[Path]()
+    flows = ssp.section_flows(machine, machine.controller, machine.diagnosis)
+    own = ssp.Plan(STOP, {ssp.COMPENSATED: flows})
+    plans = {"": ssp.Plan(STOP), ssp.ACTUATED: ssp.Plan(STOP), ssp.CONTROLLED: own, ssp.SENSED: own}
+    paths, files_of = list[Path](), {**page_files(crane), SOURCE: crane.file.read_bytes()}
     for fmi, files in built.items():
         fmus = dict(zip((s.name for s in subs), files, strict=True))
-        files_of = {**page_files(crane), SOURCE: crane.file.read_bytes()}
         paths += files
-        for name, drivers, wires in _systems(crane, machine):
-            system = assemble(
-                {n: fmus[n] for n in (*_order(machine), *drivers)},
-                machine.connections + wires + machine.supply_wires,
-                name=name,
-                stop=STOP,
-                step=STEP,
-                common=machine.oil,
-            )
-            sets = {"compensated": _section_flows(machine)} if CONTROLLER in drivers else {}
-            paths.append(write_ssp(system, folders[fmi] / f"{name}.ssp", sets, resources=files_of))
+        paths += ssp.write_systems(machine, crane.file.stem, folders[fmi], fmus, STEP, plans, files_of)
     return paths
-
-
-def _section_flows(machine: Machine) -> dict[str, float]:
-    """Flows of the compensated sections, for the controller."""
-    drives = (values(v["compensated"]).p for v in machine.parts.values() if "compensated" in v)
-    declared = quantities(machine.controller.parameters) if machine.controller else {}
-    return {
-        f"{CONTROLLER}.{n}": x for p in drives for n, x in p.items() if n in declared and n.endswith(FLOW)
-    }
-
-
-def _systems(crane: CraneDescription, machine: Machine) -> Iterator[tuple[str, tuple[str, ...], Connections]]:
-    """Name, what gives the commands, and its connections: with the operator, with the controller."""
-    if machine.operator:
-        yield crane.file.stem, (machine.operator.name,), machine.operator_wires
-    if machine.controller and machine.actuation:
-        wires = machine.actuated(machine.controller_wires, machine.controller)
-        drivers = machine.actuation.name, machine.controller.name
-        yield f"{crane.file.stem}_control", drivers, wires
-        if machine.sensors and machine.diagnosis:
-            readers = machine.sensors.name, *drivers, machine.diagnosis.name
-            yield f"{crane.file.stem}_sensors", readers, machine.sensed(wires)
 
 
 def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose, Mechanics] | None:
@@ -376,10 +324,3 @@ def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose
     arm = machine.subsystems[NAME]
     steering = controller(crane, machine)
     return own, partial(start_pose, steering), Mechanics(steering, arm, partial(hanging_sway, arm))
-
-
-def _order(machine: Machine) -> Iterator[str]:
-    """Sources of holding forces and of pressures first: some tools initialise in the order of the file."""
-    yield NAME
-    yield from machine.feeding
-    yield from (n for n in machine.subsystems if n != NAME)

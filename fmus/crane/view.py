@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from fmus.crane.check import functions
 from fmus.crane.controller import controlled
 from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import manipulator
@@ -116,7 +115,7 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
 
     The first four are on the sticks, the others on wheels. If there are others, telescopes go there first.
     """
-    words, full, signs = dict[str, Any](), dict[str, Any](), functions(manipulator(crane)).signs
+    words, full, of = dict[str, Any](), dict[str, Any](), manipulator(crane).model
     order, moved = list(crane.driven), list[str]()
     with suppress(Problem):  # of an arm that its controller does not know
         moved = [j.name for j in controlled(crane)]
@@ -126,7 +125,7 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
         order = [*first, *(j for j in order if j not in first)]
     for k, j in enumerate(order[:MOST]):
         ends = WORDS["motor" if j.drive == "motor" else j.kind]
-        sign = signs.get(j.name, 1.0)
+        sign = of.joint(j.name).lever
         if k == 2 or j.kind == "prismatic":  # towards the operator is in, or down
             ends, sign = (ends[1], ends[0]), -sign
         words[j.name] = [f"{j.name} {end}" for end in ends]

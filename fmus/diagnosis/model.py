@@ -22,7 +22,7 @@ import casadi as ca
 
 from fmus import ports
 from fmus.components import oil
-from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities
+from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities, unknown
 from fmus.controller.arm import Arm, ControlledAxis
 from fmus.controller.gains import gains
 from fmus.diagnosis import leaks, sensors, valves, weight
@@ -92,13 +92,6 @@ def _states_of(axis: ControlledAxis, tare: weight.Tare) -> dict[str, Quantity]:
     return {f"{axis.name}_{n}": q for n, q in found.items()}
 
 
-class Nothing:
-    """States before the start, and inputs of outputs that do not depend on them: zeros."""
-
-    def __getattr__(self, _: str) -> Scalar:
-        return 0
-
-
 @dataclass(frozen=True)
 class Diagnosis:
     """The functions of the subsystem for an arm."""
@@ -106,19 +99,20 @@ class Diagnosis:
     arm: Arm
     efforts: weight.OfReadings
     tare: weight.Tare
+    inputs: type[Any]
     states: type[Any]
     outputs: type[Any]
 
-    def _axes(self, x: Any, u: Any, p: Any) -> list[Axis]:
+    def _axes(self, x: Any, u: Any, p: Any, efforts: Mapping[str, Efforts] | None = None) -> list[Axis]:
+        """efforts: by axis, of what depends on readings."""
         pistons = self.arm.pistons(self.arm.coordinates(u), p)
         driven, lines = (
             self.arm.actuators([at for at, _ in pistons], p),
             1 - either(*self._wrong(x, u, p).values()),
         )
-        efforts: Mapping[str, Efforts] = {} if isinstance(u, Nothing) else self.efforts(u)
         radial = [0, *(r for r, _ in self.arm.columns(self.arm.coordinates(u), p))]
         axes = [
-            Axis(a, driven[a.name], at, lever, x, u, p, lines, 1, efforts.get(a.name, {}), r)
+            Axis(a, driven[a.name], at, lever, x, u, p, lines, 1, (efforts or {}).get(a.name, {}), r)
             for a, (at, lever), r in zip(self.arm.axes, pistons, radial, strict=True)
         ]
         speeds = 1 - either(*(a.faulty[1] for a in axes))
@@ -134,7 +128,7 @@ class Diagnosis:
 
     def dynamics(self, x: Any, u: Any, p: Any) -> Any:
         """Filters, clocks, latches and sums."""
-        rates, axes, sound = dict[str, Scalar](), self._axes(x, u, p), 1
+        rates, axes, sound = dict[str, Scalar](), self._axes(x, u, p, self.efforts(u)), 1
         for a in axes:
             checked = (rate for check in (*CHECKS, weight) for rate in check.rates(a).items())
             own = a.rates() | dict(checked)
@@ -162,7 +156,7 @@ class Diagnosis:
 
     def observe(self, x: Any, _: Any, p: Any) -> Any:
         """Findings and payload."""
-        told, axes = dict[str, Told](), self._axes(x, Nothing(), p)
+        told, axes = dict[str, Told](), self._axes(x, unknown(self.inputs), p)
         for a in axes:
             told |= {_full(a.axis, n): t for check in CHECKS for n, t in check.told(a).items()}
         told |= {f"{n}_sensor": shown(getattr(x, f"{n}_bad"), getattr(p, f"{n}_fitted")) for n in LINES}
@@ -225,7 +219,7 @@ class Diagnosis:
             "late_tank": u.tank_pressure,
             "horizontal_square": weight.SWINGING**2,
         }
-        for a in self._axes(Nothing(), u, p):
+        for a in self._axes(unknown(self.states), u, p, self.efforts(u)):
             own = {f"late_{k}": a.reading(k) for k in range(4)} | {
                 "late_command": a.command,
                 "trailing": a.command,
@@ -325,6 +319,7 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
         arm,
         weight.efforts_of(manipulator, arm.axes),
         tare,
+        make_group("Inputs", inputs),
         make_group("States", states),
         make_group("Outputs", outputs),
     )
@@ -333,7 +328,7 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
         text="Diagnosis: leaks, bursts, valves, sensors, lines, air and payload, with their deviations",
         parameters=parameters,
         states=of.states,
-        inputs=make_group("Inputs", inputs),
+        inputs=of.inputs,
         outputs=of.outputs,
         dynamics=of.dynamics,
         observe=of.observe,

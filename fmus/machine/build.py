@@ -13,7 +13,7 @@ from fmus.machine.machine import Machine
 from fmus.machine.one_block import composed_machine
 from fmus.machine.parts import FAMILIES, FERIC, with_faults
 from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.ssp import NAME, with_partners, write_systems
+from fmus.machine.ssp import NAME, VIEW, harvester_plans, with_partners, write_systems
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
 from fmus.package_files import SUBFOLDERS, data
@@ -64,18 +64,15 @@ def build_machine(
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
     subfolders = {sub.name: VARIANTS for sub in others}
     paths: list[Path] = []
+    plans = harvester_plans(machine, parts[MANIPULATOR.name], parts[BOOM_STICK.name])
     built_fmus = build_all(
         subs, folders, STEP, WORK_CYCLE_STOP, platforms, subfolders, wasm=[NAME], progress=progress
     )
     for fmi, built in built_fmus.items():
         fmus = dict(zip((sub.name for sub in subs), built, strict=True))
         default = [_copied(fmus[part], next(iter(v))) for part, v in FAMILIES.items() if part in fmus]
-        manipulator, boom_stick = parts[MANIPULATOR.name], parts[BOOM_STICK.name]
-        complete = fmus.keys() >= FERIC.components.keys()
-        systems = (
-            write_systems(folders[fmi], fmus, STEP, manipulator, boom_stick, machine) if complete else []
-        )
-        paths += [*built, *systems, *default]
+        files = {VIEW.name: VIEW.read_bytes()}
+        paths += [*built, *write_systems(machine, NAME, folders[fmi], fmus, STEP, plans, files), *default]
     return paths
 
 

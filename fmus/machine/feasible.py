@@ -66,8 +66,7 @@ class Mechanics:
     @property
     def arm(self) -> Arm:
         """As its controller knows it."""
-        functions: Any = self.controller.dynamics
-        arm: Arm = functions.__self__.arm
+        arm: Arm = self.controller.model.arm
         return arm
 
     def parameters(self, component: Component) -> Any:

@@ -1,22 +1,17 @@
-"""The machine (swing drive, boom and stick drives, manipulator) as one subsystem and one FMU, `harvester`.
+"""A machine (its drives and its manipulator) as one subsystem and one FMU; the harvester's is `harvester`.
 
 Inputs are commands, supply and payload. Only differences from the declarations of the parts are listed here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from fmus.composition import compose
-from fmus.contract import Subsystem
-from fmus.machine.machine import wiring
-from fmus.machine.parts import DRIVES, FERIC
+from fmus.contract import Subsystem, quantities
+from fmus.machine.machine import Machine, wiring
+from fmus.machine.parts import FERIC
 from fmus.ports import grip, lever, return_line, supply_line
-
-# signals of internal connections; accelerations stay visible, because they can be measured
-HIDDEN = (
-    *(source for source, _ in FERIC.rates + FERIC.holding if not source.endswith("acceleration")),
-    *(f"{drive}.{drive}_load_pressure_rate" for drive in DRIVES),
-)
 
 TEXTS = {
     "supply_flow": "Flow from the supply line into all three drives",
@@ -30,27 +25,46 @@ TEXTS = {
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 
 
-def composed_machine(parts: Mapping[str, Subsystem]) -> Subsystem:
-    """The machine composed of swing, boom_stick and manipulator, with their parameter values."""
+def hidden(machine: Machine) -> list[str]:
+    """Signals of internal connections; accelerations stay visible, because they can be measured."""
+    found = [source for source, _ in machine.rates + machine.holding if not source.endswith("acceleration")]
+    rates = ((n, f"{n}_load_pressure_rate", sub) for n, sub in machine.subsystems.items())
+    return found + [f"{n}.{rate}" for n, rate, sub in rates if rate in quantities(sub.outputs)]
+
+
+def one_block(
+    machine: Machine, parts: Mapping[str, Subsystem], levers: Sequence[str], **declared: Any
+) -> Subsystem:
+    """The machine composed of these variants of its parts.
+
+    levers     axes with a command
+    declared   name, text and others of `compose`
+    """
     return compose(
-        name="harvester",
-        text="Forestry harvester: swing, boom and stick drives and the manipulator as one block",
         subsystems=parts,
-        connections=FERIC.connections,
+        connections=machine.connections,
         inputs=wiring(parts)[1],
-        folder=Path(__file__).parent / "harvester",
-        hidden=HIDDEN,
+        hidden=hidden(machine),
         totals=TOTALS,
-        texts=TEXTS,
-        terminals=(
-            *(lever(axis) for axis in ("swing", "boom", "stick")),
-            grip(),
-            supply_line(),
-            return_line(),
-        ),
+        terminals=(*map(lever, levers), grip(), supply_line(), return_line()),
+        **declared,
     )
 
 
+def composed_machine(parts: Mapping[str, Subsystem]) -> Subsystem:
+    """The harvester composed of swing, boom_stick and manipulator, with their parameter values."""
+    return one_block(
+        FERIC,
+        parts,
+        ("swing", "boom", "stick"),
+        name="harvester",
+        text="Forestry harvester: swing, boom and stick drives and the manipulator as one block",
+        folder=Path(__file__).parent / "harvester",
+        texts=TEXTS,
+    )
+
+
+HIDDEN = tuple(hidden(FERIC))
 HARVESTER = composed_machine(FERIC.subsystems)
 
-__all__ = ["HARVESTER", "composed_machine"]
+__all__ = ["HARVESTER", "composed_machine", "one_block"]

@@ -1,4 +1,4 @@
-"""Systems of the machine as SSP files, and which ports of its FMUs belong together.
+"""Systems of a machine as SSP files, those of the harvester, and which ports of its FMUs belong together.
 
 harvester.ssp            machine, supply and operator; parameter sets: poses, programs, `winter_oil`
 harvester_actuation.ssp  the same with the electrical actuation of the valves
@@ -9,28 +9,21 @@ harvester_control.ssp    machine, supply, actuation and controller; parameter se
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from fmus.contract import Subsystem, quantities
-from fmus.controller import CONTROLLER
-from fmus.diagnosis import NAME as DIAGNOSIS
-from fmus.machine.machine import Machine
-from fmus.machine.parts import DRIVES, FAMILIES, FERIC
+from fmus.machine.machine import Connections, Machine
+from fmus.machine.parts import DRIVES, FERIC
 from fmus.machine.poses import NOMINAL, POSES, controlled_poses, controller_set, pose_set
 from fmus.machine.work_cycle import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 from fmus.manipulator import MANIPULATOR
 from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
-from fmus.sensors import NAME as NAME_OF_SENSORS
 from fmus.supply import SUPPLY
-from fmus.valve_actuation import ACTUATION
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
-ACTUATED = FERIC.actuated(FERIC.operator_wires, OPERATOR)
-CONTROLLED = FERIC.actuated(FERIC.controller_wires, CONTROLLER)
-WIRES = tuple(dict.fromkeys((*FERIC.wires, *ACTUATED, *CONTROLLED)))
 UNPOWERED = (
     "While supply_pressure is 0, no command turns the swing, and each command lets boom or stick sink."
 )
@@ -45,73 +38,103 @@ HELD_COMMAND = (
 )
 
 
-NAME, ACTUATED_NAME, CONTROL = "harvester", "harvester_actuation", "harvester_control"
+NAME = "harvester"
+ACTUATED, CONTROLLED, SENSED = "_actuation", "_control", "_sensors"  # ends of the names of systems
 VIEW = Path(__file__).parent / NAME / "view.toml"  # displays and controls of `harvester view`
 COMPENSATED = "compensated"  # variant of the drives, parameter set of the controller
-SENSED = "harvester_sensors"
 CONTROL_STOP = 20.0  # s
 WINTER, WINTER_GRADE = "winter_oil", {"oil_viscosity_40": 46e-6, "oil_viscosity_100": 8.2e-6}  # HVLP 46, m2/s
-# some tools initialise in the order of the file, so sources of holding forces and supply pressure are first
-ORDER = ("manipulator", "supply", "boom_stick", "swing")
 
 
-def write_systems(
-    folder: Path,
-    fmus: Mapping[str, Path],
-    step: float,
-    manipulator: Subsystem,
-    boom_stick: Subsystem,
-    machine: Machine = FERIC,
-) -> list[Path]:
-    """Write the systems to `folder` whose operator or controller, and actuation, have an FMU.
+@dataclass(frozen=True)
+class Plan:
+    """What the systems of a kind are besides their components: stop time [s], parameter sets, those bound."""
 
-    fmus                      .fmu files by component
-    step                      communication step [s]
-    manipulator, boom_stick   for which poses and start values are calculated
+    stop: float
+    sets: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    bound: tuple[str, ...] = ()
+
+
+def systems(machine: Machine) -> Iterator[tuple[str, tuple[Subsystem, ...], Connections]]:
+    """End of the name, what gives the commands or reads, and its connections.
 
     Those with the operator have no inputs: Ecos and libcosim reject them, and FMPy delays them by one step.
     The machine with the controller is at rest without inputs.
     """
-    poses = controlled_poses(manipulator).items()
-    controlled = {name: controller_set(pose, manipulator, boom_stick) for name, pose in poses}
-    own = controlled | {COMPENSATED: section_flows(), WINTER: winter_oil()}
-    told = own | {COMPENSATED: section_flows() | section_flows(DIAGNOSIS)}
-    operated = parameter_sets(manipulator)
-    lever, head = (OPERATOR.name,), ACTUATION.name
-    behind = (DIAGNOSIS, CONTROLLER.name, head, NAME_OF_SENSORS)
-    systems = (
-        (NAME, lever, FERIC.operator_wires, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
-        (ACTUATED_NAME, (*lever, head), ACTUATED, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
-        (CONTROL, (CONTROLLER.name, head), CONTROLLED, CONTROL_STOP, own, (NOMINAL,)),
-        (SENSED, behind, machine.sensed(CONTROLLED), CONTROL_STOP, told, (NOMINAL,)),
-    )
-    return [
-        write_ssp(
-            assemble(
-                {n: fmus[n] for n in (*ORDER, *reversed(drivers))},
-                FERIC.connections + wires + FERIC.supply_wires,
-                name=name,
-                stop=stop,
+    operator, controller, head = machine.operator, machine.controller, machine.actuation
+    if operator:
+        yield "", (operator,), machine.operator_wires
+    if operator and head:
+        yield ACTUATED, (head, operator), machine.actuated(machine.operator_wires, operator)
+    if controller and head:
+        wires = machine.actuated(machine.controller_wires, controller)
+        yield CONTROLLED, (head, controller), wires
+        if machine.sensors and machine.diagnosis:
+            drivers = (machine.sensors, head, controller, machine.diagnosis)
+            yield SENSED, drivers, machine.sensed(wires)
+
+
+def write_systems(
+    machine: Machine,
+    name: str,
+    folder: Path,
+    fmus: Mapping[str, Path],
+    step: float,
+    plans: Mapping[str, Plan],
+    resources: Mapping[str, bytes],
+) -> list[Path]:
+    """Write the systems to `folder` of which all components have an FMU.
+
+    fmus        .fmu files by component
+    step        communication step [s]
+    plans       by the end of the system's name
+    resources   files of the systems
+    """
+    found, parts = list[Path](), [n for n in reversed(machine.subsystems) if n != MANIPULATOR.name]
+    for end, subs, wires in systems(machine):
+        drivers = [sub.name for sub in subs]
+        # some tools initialise in the order of the file: sources of holding forces and pressures are first
+        order, plan = (MANIPULATOR.name, *machine.feeding, *parts, *drivers), plans[end]
+        if fmus.keys() >= {*order}:
+            system = assemble(
+                {n: fmus[n] for n in order},
+                machine.connections + wires + machine.supply_wires,
+                name=f"{name}{end}",
+                stop=plan.stop,
                 step=step,
-                shared=FERIC.shared,
-                common=FERIC.oil,
-            ),
-            Path(folder) / f"{name}.ssp",
-            sets=sets,
-            bound=bound,
-            resources={VIEW.name: VIEW.read_bytes()},
-            columns=((*drivers, "supply"), ("boom_stick", "swing"), ("manipulator",)),
-        )
-        for name, drivers, wires, stop, sets, bound in systems
-        if fmus.keys() >= {*drivers}
-    ]
+                shared=machine.shared,
+                common=machine.oil,
+            )
+            columns = ((*reversed(drivers), *machine.feeding), parts, (MANIPULATOR.name,))
+            path = Path(folder) / f"{name}{end}.ssp"
+            found.append(write_ssp(system, path, plan.sets, plan.bound, resources=resources, columns=columns))
+    return found
 
 
-def section_flows(component: str = CONTROLLER.name) -> dict[str, float]:
-    """Flows of the compensated sections, for the controller or the diagnosis."""
-    drives = (FAMILIES[part][COMPENSATED] for part in DRIVES)
-    flows = {n: v for sub in drives for n, v in values(sub).p.items() if n.endswith("_section_flow")}
-    return {f"{component}.{n}": v for n, v in flows.items()}
+def harvester_plans(machine: Machine, manipulator: Subsystem, boom_stick: Subsystem) -> dict[str, Plan]:
+    """Of the harvester's systems; poses and start values are calculated for these parts."""
+    poses = controlled_poses(manipulator).items()
+    own = {name: controller_set(pose, manipulator, boom_stick) for name, pose in poses}
+    own |= {WINTER: winter_oil()}
+    flows = {COMPENSATED: section_flows(machine, machine.controller)}
+    told = {COMPENSATED: section_flows(machine, machine.controller, machine.diagnosis)}
+    operated = Plan(WORK_CYCLE_STOP, parameter_sets(manipulator), (NOMINAL, DEFAULT))
+    return {
+        "": operated,
+        ACTUATED: operated,
+        CONTROLLED: Plan(CONTROL_STOP, own | flows, (NOMINAL,)),
+        SENSED: Plan(CONTROL_STOP, own | told, (NOMINAL,)),
+    }
+
+
+def section_flows(machine: Machine, *readers: Subsystem | None) -> dict[str, float]:
+    """Flows of the compensated sections, for the controller and the diagnosis."""
+    found, drives = dict[str, float](), [v[COMPENSATED] for v in machine.parts.values() if COMPENSATED in v]
+    for sub in filter(None, readers):
+        known = quantities(sub.parameters)
+        flows = ((n, x) for s in drives for n, x in values(s).p.items() if n in known)
+        found |= {f"{sub.name}.{n}": x for n, x in flows if n.endswith("_section_flow")}
+    return found
 
 
 def winter_oil() -> dict[str, float]:
@@ -125,6 +148,9 @@ def parameter_sets(manipulator: Subsystem = MANIPULATOR) -> dict[str, dict[str, 
     for name, moves in PROGRAMS.items():
         sets[name] = {f"{OPERATOR.name}.{p}": value for p, value in program(moves).items()}
     return sets | {WINTER: winter_oil()}
+
+
+WIRES = tuple(dict.fromkeys((*FERIC.wires, *(wire for *_, wires in systems(FERIC) for wire in wires))))
 
 
 def wired_ports() -> Iterator[tuple[str, str, str, str, str]]:

@@ -12,7 +12,6 @@ be too high.
 
 from fmus.components.friction import Bristles, Resistance, lugre
 from fmus.contract import Group, Quantity, Scalar
-from fmus.manipulator.design import Design, damping
 from fmus.manipulator.model import manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
@@ -107,7 +106,9 @@ class FrictionOutputs(ManipulatorOutputs):
     stored_energy: Scalar = Quantity("J", "Elastic energy in the friction of joints and pistons")
 
 
-def resist(contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters) -> Resistance:
+def resist(
+    contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters, damping: Scalar
+) -> Resistance:
     """Resistance of one contact."""
     law = p.piston if contact.endswith("piston") else p.joint
     dry = Bristles(
@@ -117,12 +118,14 @@ def resist(contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters)
         deflection=law.presliding,
         damping_time=p.bristle_damping_time,
     )
-    return lugre(speed, getattr(x, contact).bristle, dry, damping(contact, p))
+    return lugre(speed, getattr(x, contact).bristle, dry, damping)
 
 
 FRICTION = manipulator(
-    Design(FrictionState, FrictionOutputs, friction=resist),
     text="Swing column, boom, stick and processing head with dry and viscous friction",
     validity="rigid slender links, the head does not swing; friction independent of load and pressure",
     parameters=FrictionParameters,
+    states=FrictionState,
+    outputs=FrictionOutputs,
+    dry=resist,
 )

@@ -1,35 +1,33 @@
-"""Manipulator: equations of motion and subsystem, from the arm, a processing head and a friction law.
+"""The paper's manipulator as data for `fmus.joints`: its joints, and what its outputs show of them.
 
     M(q) q'' + V(q, q') + G(q) = tau + tau_pick-up             eq. (4), q = (swing, boom, stick, head)
     tau_swing = swing_torque - R_swing + tau_stop              eq. (8)
     tau_i     = J_i (F_i - R_piston,i + F_stop,i) - R_joint,i  eqs. (5) to (7), i = boom, stick
 
-with the friction forces R; the joint of the head also acts on stick and boom. M, V and G follow from the
-energies (`fmus.manipulator.arm`, `fmus.components.mechanics`).
+Signs: the boom angle is measured from the horizontal, upwards positive. The stick angle is measured from the
+boom, upwards positive; it is negative for a folded stick. The swing angle is counter-clockwise seen from
+above. Extending the boom cylinder raises the boom; extending the stick cylinder folds the stick in (J < 0).
 
-The head holds a payload, a point mass m_h (`held_mass`) at the place of the head's own mass. It follows the
-input m_in = `payload_mass` by lags of 2 T/3 and T/3 in series, T = `payload_grip_time`, so that its rate
-(`payload_flow`) is a state and no force jumps. After a step it is m_in (1 - exp(-1.5 t/T))^2:
+The links are slender: they have no inertia about their own axis, so the inertia of a link at pitch f about
+the vertical is m r^2 + I cos(f)^2. The head is a point mass at the tip (correction E4), or hangs there
+(`fmus.manipulator.pendulum`). The payload is a point mass at the place of the head's mass, because rollers
+and knives hold the stem there; the moment of inertia is that of the empty head.
 
-    m_h'' = 4.5 ((m_in - m_h)/T - m_h')/T                      from m_h = m_in, m_h' = 0 at the start
-    tau_pick-up = -max(m_h', 0) d(M q')/dm_h                   mass comes from rest, leaves with its velocity
-
-The pick-up is inelastic: max(m_h', 0) v^2/2 is heat, v the speed of the payload. With the mass the power
-m_h' g z + min(m_h', 0) v^2/2 enters, z its height (`payload_power`). Derivation: `fmus.components.mechanics`.
+The same equations by hand, in NumPy: tests/equations/transcription.py.
 """
 
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
 from fmus import ports
-from fmus.components.friction import Resistance
-from fmus.contract import Scalar, Subsystem, column, flat, nested, quantities
-from fmus.manipulator import arm
-from fmus.manipulator.arm import Piston
-from fmus.manipulator.design import CONTACTS, Design, viscous_friction
+from fmus.components.chain import Chain, Link, Payload, Vector
+from fmus.components.linkage import Cylinder
+from fmus.components.mechanics import Point
+from fmus.contract import Scalar, Subsystem, column
+from fmus.joints import Friction, JointModel, Mechanics
 from fmus.manipulator.variables import (
     ManipulatorInputs,
     ManipulatorOutputs,
@@ -37,6 +35,7 @@ from fmus.manipulator.variables import (
     ManipulatorState,
 )
 
+SWING_STOP_ROUNDING = 1e-3  # rad, smoothing angle of the torque of the column's end stops
 PORTS = (
     ports.shaft("swing", drives=False),
     *(ports.rod(axis, drives=False) for axis in ("boom", "stick")),
@@ -44,157 +43,134 @@ PORTS = (
 )
 
 
-def manipulator(design: Design, *, text: str, validity: str, parameters: type[Any]) -> Subsystem:
-    """The subsystem with a head and a friction law."""
-    return Subsystem(
+def _swing_stop(p: ManipulatorParameters) -> tuple[Scalar, ...]:
+    """At +- `swing_stop_angle`, none if that is 0."""
+    stiffness = ca.if_else(p.swing_stop_angle > 0, p.swing_stop_stiffness, 0)
+    return p.swing_stop_angle, stiffness, p.swing_stop_damping, SWING_STOP_ROUNDING
+
+
+def boom_pivot(p: Any) -> Vector:
+    """Place on the column."""
+    return p.boom_pivot_x, 0, p.boom_pivot_z
+
+
+def elbow(p: Any) -> Vector:
+    """Place of the stick's pivot on the boom."""
+    return p.stick_pivot_x, 0, p.stick_pivot_z
+
+
+def _joint(name: str, parent: int, at: Callable[[Any], Vector], lever: float) -> JointModel:
+    """Boom or stick, in the plane of the arm, with its cylinder."""
+
+    def of(p: Any) -> Any:
+        return getattr(p, name)
+
+    def link(p: Any) -> Link:
+        own = of(p)
+        slender = (0, own.inertia, own.inertia, 0, 0, 0)
+        return Link(name, "revolute", "-y", at(p), parent, own.mass, (own.centre_x, 0, own.centre_z), slender)
+
+    def drive(p: Any) -> Cylinder:
+        base, rod = of(p).pins
+        return Cylinder(base, rod, of(p).closed_length)
+
+    return JointModel(
+        name=name,
+        coordinate=f"{name}_angle",
+        link=link,
+        damping=lambda p: of(p).joint_damping,
+        drive=drive,
+        piston=lambda p: (of(p).stroke, of(p).piston_damping),
+        lever=lever,
+        contact=f"{name}_joint",
+    )
+
+
+SWING = JointModel(
+    name="swing",
+    coordinate="swing_angle",
+    link=lambda p: Link("swing", "revolute", "z", inertia=(0, 0, p.column_inertia, 0, 0, 0)),
+    damping=lambda p: p.swing_damping,
+    motor=True,
+    stop=_swing_stop,
+    stop_shown="swing_stop_torque",
+    contact="swing",
+)
+ARM = (SWING, _joint("boom", 0, boom_pivot, 1.0), _joint("stick", 1, elbow, -1.0))
+
+
+def gravity(p: Any) -> Vector:
+    """Downwards."""
+    return 0, 0, -p.gravity
+
+
+def tip(p: Any) -> tuple[int, Vector]:
+    """Link and place of the end of the stick."""
+    return 2, (p.stick_length, 0, 0)
+
+
+def head(mass: Scalar, p: Any) -> Payload:
+    """A point mass at the tip."""
+    return Payload(*tip(p), p.head_mass + mass)
+
+
+def in_plane(boom: Scalar, stick: Scalar, p: Any) -> tuple[Point, Point]:
+    """Elbow (stick pivot) and tip (end of the stick), (radius, height) [m] at angles of the joints [rad]."""
+    links = (Link("boom", "revolute", "-y", boom_pivot(p)), Link("stick", "revolute", "-y", elbow(p), 0))
+    q, ends = ca.SX(column(boom, stick)), ((0, 0, 0), tip(p)[1])
+    points = (Chain(links).position(q, 1, at) for at in ends)
+    found = [(x, z) for x, _, z in map(ca.vertsplit, points)]
+    return found[0], found[1]
+
+
+def views(of: Mechanics, q: ca.SX, w: ca.SX, x: Any, p: Any) -> dict[str, Scalar]:
+    """Places of elbow and tip, velocity of the tip in the plane of the arm."""
+    joint, end = in_plane(x.boom_angle, x.stick_angle, p)
+    in_place, turning = ca.vertcat(0, q[1:]), ca.vertcat(0, w[1:])
+    velocity = of.chain(p).velocity(in_place, turning, *tip(p))
+    return {
+        "elbow_radius": joint[0],
+        "elbow_height": joint[1],
+        "tip_radius": end[0],
+        "tip_height": end[1],
+        "tip_x": end[0] * ca.cos(x.swing_angle),
+        "tip_y": end[0] * ca.sin(x.swing_angle),
+        "tip_radial_velocity": velocity[0],
+        "tip_vertical_velocity": velocity[2],
+        "tip_depth": ca.fmax(p.ground_height - end[1], 0),
+    }
+
+
+def manipulator(
+    *,
+    text: str,
+    validity: str,
+    parameters: type[Any] = ManipulatorParameters,
+    states: type[Any] = ManipulatorState,
+    outputs: type[Any] = ManipulatorOutputs,
+    dry: Friction | None = None,
+    hanging: tuple[JointModel, ...] = (),
+    **head_of: Any,
+) -> Subsystem:
+    """The subsystem with a law of dry friction, and with the joints of a hanging head.
+
+    head_of   payload, views, turn and limits of `Mechanics` with that head
+    """
+    groups = (parameters, states, ManipulatorInputs, outputs)
+    of_arm: dict[str, Any] = {"payload": head, "views": views}
+    model = Mechanics((*ARM, *hanging), *groups, gravity, dry=dry, **of_arm | head_of)
+    return model.subsystem(
         name="manipulator",
         text=text,
         validity=validity,
-        parameters=parameters,
-        states=design.states,
-        inputs=ManipulatorInputs,
-        outputs=design.outputs,
-        dynamics=partial(dynamics, design),
-        observe=partial(observe, design),
-        initial=partial(initial, design),
-        require=partial(require, design),
         values=Path(__file__).with_name("parameters.toml"),
         terminals=PORTS,
-        # bristles are stiff; end stops are as well, but seldom reached
-        stiff=design.friction is not viscous_friction,
+        stiff=dry is not None,  # bristles are stiff; end stops are as well, but seldom reached
     )
 
 
-def _resistances(design: Design, x: Any, p: Any, boom: Piston, stick: Piston) -> dict[str, Resistance]:
-    """Friction of each contact."""
-    speeds = (x.swing_speed, x.boom_speed, x.stick_speed, boom.velocity, stick.velocity)
-    return {c: design.friction(c, v, x, p) for c, v in zip(CONTACTS, speeds, strict=True)}
-
-
-def forces(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> tuple[ca.SX, dict[str, Resistance]]:
-    """tau of eq. (4), shape (n, 1): hydraulics, friction and end stops; and the friction of each contact."""
-    boom, stick = arm.pistons(x, p)
-    r, joint = _resistances(design, x, p, boom, stick), design.head.joint(x, p)
-    tau: ca.SX = column(
-        u.swing_torque - r["swing"].force + arm.swing_stop(x, p).force,
-        boom.triangle.arm * (u.boom.force - r["boom_piston"].force + boom.stop.force)
-        - r["boom_joint"].force
-        + joint.on_stick,
-        stick.triangle.arm * (u.stick.force - r["stick_piston"].force + stick.stop.force)
-        - r["stick_joint"].force
-        + joint.on_stick,
-        *joint.on_head,
-    )
-    return tau, r
-
-
-def dynamics(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
-    """Time derivative of the state, field by field."""
-    motion, (tau, r) = arm.mechanics(x, p, design.head), forces(design, x, u, p)
-    acceleration = motion.acceleration(tau + motion.per_kilogram.drag(x.payload_flow))
-    speeds = ("swing_speed", "boom_speed", "stick_speed", *design.head.speeds)
-    angles = ("swing_angle", "boom_angle", "stick_angle", *design.head.angles)
-    rates: dict[str, Scalar] = {n: acceleration[i] for i, n in enumerate(speeds)}
-    rates |= {n: getattr(x, speed) for n, speed in zip(angles, speeds, strict=True)}
-    rates |= {"held_mass": x.payload_flow, "payload_flow": _grip(x, u, p)}
-    if design.friction is not viscous_friction:
-        rates |= {f"{contact}_bristle": r[contact].deflection_rate for contact in CONTACTS}
-    return nested(design.states, rates)
-
-
-def _grip(x: Any, u: ManipulatorInputs, p: Any) -> Scalar:
-    """m_h'' [kg/s2]: lags of 2 T/3 and T/3 in series, so the mass held stays between the masses asked for."""
-    time = p.payload_grip_time
-    return 4.5 * ((u.payload_mass - x.held_mass) / time - x.payload_flow) / time
-
-
-def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
-    """Outputs; only the accelerations and the torques J F depend directly on the inputs."""
-    boom, stick = arm.pistons(x, p)
-    r, joint = _resistances(design, x, p, boom, stick), design.head.joint(x, p)
-    dx, motion = dynamics(design, x, u, p), arm.mechanics(x, p, design.head)
-    load, declared = motion.per_kilogram, quantities(design.outputs)
-    swing_stop = arm.swing_stop(x, p)
-    stops = (swing_stop, boom.stop, stick.stop)
-    values: dict[str, Scalar] = {n: value for n, value in flat(x).items() if n in declared}
-    if "stored_energy" in declared:
-        values["stored_energy"] = sum((c.stored for c in r.values()), joint.stored)
-    values |= {name: r[contact].force for contact, name in CONTACTS.items() if name in declared}
-    found = dict(
-        **values,
-        **_piston_outputs(x, dx, boom, stick),
-        **_positions(x, p),
-        **design.head.outputs(x, p),
-        swing_acceleration=dx.swing_speed,
-        boom_holding_force=motion.gravity[1] / boom.triangle.arm,
-        stick_holding_force=motion.gravity[2] / stick.triangle.arm,
-        boom_torque=boom.triangle.arm * u.boom.force,
-        stick_torque=stick.triangle.arm * u.stick.force,
-        kinetic_energy=motion.kinetic,
-        potential_energy=motion.potential,
-        swing_stop_torque=swing_stop.force,
-        stop_energy=sum(s.stored for s in stops),
-        dissipated_power=sum((c.heat for c in r.values()), joint.heat)
-        + sum(s.heat for s in stops)
-        + load.heat(x.payload_flow),
-        payload_power=load.inflow(x.payload_flow),
-    )
-    return nested(design.outputs, found)
-
-
-def initial(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> dict[str, Scalar]:
-    """Initial pose from parameters, because not every tool can set the start value of an output.
-
-    A payload that the input has at the start is held from the start.
-    """
-    return {
-        "swing_angle": p.initial_swing_angle,
-        "boom_angle": p.initial_boom_angle,
-        "stick_angle": p.initial_stick_angle,
-        "held_mass": u.payload_mass,
-        **design.head.initial(p),
-    }
-
-
-def require(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> dict[str, Scalar]:
-    """Requirements of arm and head."""
-    return {**arm.require(x, p), **design.head.require(x, p)}
-
-
-def _piston_outputs(x: Any, dx: Any, boom: Piston, stick: Piston) -> dict[str, Scalar]:
-    values: dict[str, Scalar] = {}
-    for name, piston in (("boom", boom), ("stick", stick)):
-        speed, acceleration = getattr(x, f"{name}_speed"), getattr(dx, f"{name}_speed")
-        values[f"{name}_position"] = piston.position
-        values[f"{name}_velocity"] = piston.velocity
-        values[f"{name}_acceleration"] = (
-            piston.triangle.arm * acceleration + piston.triangle.arm_derivative * speed**2
-        )
-        values[f"{name}_stop_force"] = piston.stop.force
-    return values
-
-
-def _positions(x: Any, p: Any) -> dict[str, Scalar]:
-    elbow, tip = arm.points(x, p)
-    radial, vertical = arm.tip_velocity(x, p)
-    return {
-        "elbow_radius": elbow[0],
-        "elbow_height": elbow[1],
-        "tip_radius": tip[0],
-        "tip_height": tip[1],
-        "tip_x": tip[0] * ca.cos(x.swing_angle),
-        "tip_y": tip[0] * ca.sin(x.swing_angle),
-        "tip_radial_velocity": radial,
-        "tip_vertical_velocity": vertical,
-        "tip_depth": ca.fmax(p.ground_height - tip[1], 0),
-    }
-
-
-# the paper's manipulator: the head is a point mass at the tip, the friction viscous (correction E4),
-# R = B x' in the pistons, B_sw q1' in the swing gear, b_i q_i' in the joints
+# the friction is viscous: R = B x' in the pistons, B_sw q1' in the swing gear, b_i q_i' in the joints
 RIGID = manipulator(
-    Design(ManipulatorState, ManipulatorOutputs),
     text="Swing column, boom, stick and rigid processing head; viscous friction of joints and pistons",
     validity="rigid slender links, the head does not swing, viscous friction",
-    parameters=ManipulatorParameters,
 )

@@ -29,13 +29,13 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components import cylinder, friction
-from fmus.components.cylinder import Stop
+from fmus.components import friction
+from fmus.components.chain import Link, Payload
 from fmus.contract import Quantity, Scalar
-from fmus.manipulator import arm
-from fmus.manipulator.design import Design, Head, Joint, TipMotion
+from fmus.joints import JointModel, Mechanics
 from fmus.manipulator.friction import FrictionOutputs, FrictionParameters, FrictionState, resist
 from fmus.manipulator.model import manipulator
+from fmus.manipulator.model import views as of_arm
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
 SIDE_LIMIT = 1.4  # rad; at the singularity the inertia of the first axis, (J + m L^2) cos(b)^2, is zero
@@ -94,91 +94,65 @@ class PendulumOutputs(ManipulatorOutputs, PendulumState):
     stored_energy: Scalar = Quantity("J", "Elastic energy in the stops of the head's joint", 1e3)
 
 
-def direction(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """n, the unit vector from the joint to the centre of mass."""
-    return ca.sin(a) * ca.cos(b), ca.sin(b), -ca.cos(a) * ca.cos(b)
+HEAD = JointModel(
+    name="head",
+    coordinate="head_angle",
+    link=lambda p: Link("head", "revolute", "-y", (p.stick_length, 0, 0), 2),
+    damping=lambda p: p.head_joint_damping,
+)
+YOKE = JointModel(
+    name="head_side",
+    coordinate="head_side_angle",
+    link=lambda p: Link(
+        "head_side",
+        "revolute",
+        "x",
+        parent=3,
+        centre=(0, 0, -p.head_length),
+        inertia=(p.head_inertia, p.head_inertia, 0, 0, 0, 0),
+    ),
+    damping=lambda p: p.head_joint_damping,
+    stop=lambda p: (p.head_stop_angle, p.head_stop_stiffness, p.head_stop_damping, STOP_ROUNDING),
+    stop_shown="head_stop_torque",
+)
+# swing, boom, stick, pin and yoke over the coordinates: the angle of the head is that from the vertical
+TURN = ((1, 0, 0, 0, 0), (0, 1, 0, 0, 0), (0, 0, 1, 0, 0), (0, -1, -1, 1, 0), (0, 0, 0, 0, 1))
 
 
-def kinetic(tip: TipMotion, angles: Any, speeds: Any, p: PendulumParameters) -> Scalar:
-    """T minus that of the point mass: m L v n' + (J + m L^2) |n'|^2 / 2."""
-    n = direction(angles[0], angles[1])
-    n_rate = [
-        ca.jtimes(c, angles, speeds) + yaw
-        for c, yaw in zip(n, (-tip.yaw_rate * n[1], tip.yaw_rate * n[0], 0), strict=True)
-    ]
-    v_n_rate = sum(v * d for v, d in zip(tip.velocity, n_rate, strict=True))
-    square = sum(d**2 for d in n_rate)
-    about_joint = p.head_inertia + p.head_mass * p.head_length**2
-    return p.head_mass * p.head_length * v_n_rate + about_joint * square / 2
+def head(mass: Scalar, p: PendulumParameters) -> Payload:
+    """The mass of the head and what it holds, at its centre of mass."""
+    return Payload(4, (0, 0, -p.head_length), p.head_mass + mass)
 
 
-def potential(angles: Any, p: PendulumParameters) -> Scalar:
-    """U minus that of the point mass."""
-    return p.head_mass * p.gravity * p.head_length * direction(angles[0], angles[1])[2]
+def views(of: Mechanics, q: ca.SX, w: ca.SX, x: Any, p: Any) -> dict[str, Scalar]:
+    """Those of the arm, and the head's centre of mass."""
+    place = of.chain(p).position(q, 4, (0, 0, -p.head_length))
+    names = ("head_x", "head_y", "head_height")
+    return {**of_arm(of, q, w, x, p), **{n: place[k] for k, n in enumerate(names)}}
 
 
-def joint(x: PendulumState, p: PendulumParameters) -> Joint:
-    """Damping of the joint and stops of its yoke."""
-    pin_speed, yoke_speed = x.head_speed - x.boom_speed - x.stick_speed, x.head_side_speed
-    pin, yoke = p.head_joint_damping * pin_speed, p.head_joint_damping * yoke_speed
-    stops = stop(x, p)
-    return Joint(
-        on_stick=pin,
-        on_head=(-pin, -yoke + stops.force),
-        heat=pin * pin_speed + yoke * yoke_speed + stops.heat,
-        stored=stops.stored,
-    )
-
-
-def stop(x: PendulumState, p: PendulumParameters) -> Stop:
-    """End stops of the yoke."""
-    end, law = p.head_stop_angle, (p.head_stop_stiffness, p.head_stop_damping, STOP_ROUNDING)
-    return cylinder.stop(x.head_side_angle + end, x.head_side_speed, 2 * end, *law)
-
-
-def outputs(x: PendulumState, p: PendulumParameters) -> dict[str, Scalar]:
-    """Position of the head's centre of mass, and torque of the stops."""
-    n = direction(x.head_angle, x.head_side_angle)
-    _, tip = arm.points(x, p)
-    out, left = tip[0] + p.head_length * n[0], p.head_length * n[1]
-    cos, sin = ca.cos(x.swing_angle), ca.sin(x.swing_angle)
-    return {
-        "head_x": out * cos - left * sin,
-        "head_y": out * sin + left * cos,
-        "head_height": tip[1] + p.head_length * n[2],
-        "head_stop_torque": stop(x, p).force,
-    }
-
-
-def initial(p: PendulumParameters) -> dict[str, Scalar]:
-    """Initial angles of the head."""
-    return {"head_angle": p.initial_head_angle, "head_side_angle": p.initial_head_side_angle}
-
-
-def require(x: PendulumState, p: PendulumParameters) -> dict[str, Scalar]:
-    """Requirement: the side angle stays away from the singular position."""
+def limits(x: Any, p: Any) -> dict[str, Scalar]:
+    """The side angle stays away from the singular position."""
     requirement = (
         f"head_side_angle [rad] stays between -{SIDE_LIMIT} and {SIDE_LIMIT}, clear of the pin's line"
     )
     return {requirement: SIDE_LIMIT - ca.fabs(x.head_side_angle)}
 
 
-HANGING = Head(
-    angles=("head_angle", "head_side_angle"),
-    speeds=("head_speed", "head_side_speed"),
-    kinetic=kinetic,
-    potential=potential,
-    joint=joint,
-    outputs=outputs,
-    initial=initial,
-    require=require,
-)
-
+HANGING: dict[str, Any] = {
+    "hanging": (HEAD, YOKE),
+    "payload": head,
+    "views": views,
+    "turn": TURN,
+    "limits": limits,
+}
 PENDULUM = manipulator(
-    Design(PendulumState, PendulumOutputs, HANGING),
     text="Swing column, boom, stick and a processing head that swings in a Hooke joint",
     validity="rigid slender links, viscous friction; head within 80 degrees of the arm's plane",
     parameters=PendulumParameters,
+    states=PendulumState,
+    outputs=PendulumOutputs,
+    **HANGING,
 )
 
 
@@ -202,8 +176,11 @@ class PendulumFrictionOutputs(PendulumOutputs, FrictionOutputs):
 
 
 PENDULUM_FRICTION = manipulator(
-    Design(PendulumFrictionState, PendulumFrictionOutputs, HANGING, resist),
     text="Swing column, boom, stick with dry friction and a processing head that swings in a Hooke joint",
     validity="rigid slender links; head within 80 degrees of the arm's plane; friction independent of load",
     parameters=PendulumFrictionParameters,
+    states=PendulumFrictionState,
+    outputs=PendulumFrictionOutputs,
+    dry=resist,
+    **HANGING,
 )

@@ -1,4 +1,4 @@
-"""Variables of the manipulator: parameters, states, inputs, outputs; signs as in arm.py.
+"""Variables of the manipulator: parameters, states, inputs, outputs; signs as in model.py.
 
 The elbow is the stick pivot, the tip the end of the stick, to which the processing head is fixed. Rate ports:
 docs/rate-ports.md.

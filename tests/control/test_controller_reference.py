@@ -202,10 +202,10 @@ def test_a_turning_column_pulls_the_load_outwards():
     (radius, _), columns = tip(*q[1:]), ARM.columns(q, P)
     still, moving = (ARM.carried(q, pistons, (w, boom, 0.0), (0.0,) * 3, loads, P) for boom in (0.0, 0.1))
     arms = [r / lever for (r, _), (_, lever) in zip(columns, pistons[1:], strict=True)]
-    inwards = [-mass * radius * w**2 * arm for arm in arms]
+    inwards = [float(-mass * radius * w**2 * arm) for arm in arms]
     assert [float(f) for _, f in still] == pytest.approx([0.0, *inwards], rel=3e-3)
     outwards = 0.1 * float(columns[0][0])
-    assert float(moving[0][1]) == pytest.approx(2 * mass * radius * outwards * w, rel=3e-3)
+    assert float(moving[0][1]) == pytest.approx(float(2 * mass * radius * outwards * w), rel=3e-3)
 
 
 def test_an_arm_that_carries_nothing_has_no_inertia():

@@ -1,4 +1,4 @@
-"""Chains of rigid links against Pinocchio, the paper's manipulator, closed forms and balances."""
+"""Chains of rigid links against Pinocchio, closed forms and balances."""
 
 import math
 import re
@@ -15,10 +15,8 @@ from kit.properties import examples
 
 from fmus.components import chain as module
 from fmus.components.chain import Chain, Link, Payload, gravity_on_slope
-from fmus.components.mechanics import equations_of_motion
 from fmus.contract import stack, symbols
 from fmus.manipulator import VARIANTS
-from fmus.manipulator.arm import mechanics
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
 
@@ -170,58 +168,6 @@ def test_any_tree_is_pinocchio_s(pin, seed):
     same(numbers(ca.Function("points", [angles, speeds], terms), q, w), theirs, 1e-12)
 
 
-# ---- the paper's manipulator
-
-
-def manipulator(variant):
-    """A variant as a chain with its parameters as symbols, its payload, and the map from angles to joints."""
-    sub = VARIANTS[variant]
-    x, p = symbols(sub.states), symbols(sub.parameters)
-    slender = [(0, part.inertia, part.inertia, 0, 0, 0) for part in (p.boom, p.stick)]
-    centres = [(part.centre_x, 0, part.centre_z) for part in (p.boom, p.stick)]
-    shoulder, elbow = (p.boom_pivot_x, 0, p.boom_pivot_z), (p.stick_pivot_x, 0, p.stick_pivot_z)
-    total = p.head_mass + x.held_mass
-    links = [
-        Link("swing", "revolute", "z", inertia=(0, 0, p.column_inertia, 0, 0, 0)),
-        Link("boom", "revolute", "-y", shoulder, 0, p.boom.mass, centres[0], slender[0]),
-        Link("stick", "revolute", "-y", elbow, 1, p.stick.mass, centres[1], slender[1]),
-    ]
-    tip, turn, angles = (p.stick_length, 0, 0), np.eye(3), ("swing", "boom", "stick")
-    load = Payload(2, tip, total)
-    if "pendulum" in variant:  # angles of the head are from the vertical, those of its joint from the stick
-        head = (p.head_inertia, p.head_inertia, 0, 0, 0, 0)
-        links += [Link("head", "revolute", "-y", tip, 2)]
-        links += [Link("head_side", "revolute", "x", (0, 0, 0), 3, 0, (0, 0, -p.head_length), head)]
-        turn, load = np.eye(5), Payload(4, (0, 0, -p.head_length), total)
-        angles += "head", "head_side"
-        turn[3, 1:3] = -1.0
-    q, w = (ca.vertcat(*(getattr(x, f"{a}_{kind}") for a in angles)) for kind in ("angle", "speed"))
-    return x, p, q, w, Chain(tuple(links), (0, 0, -p.gravity)), load, ca.DM(turn)
-
-
-@pytest.mark.parametrize("variant", ["rigid", "pendulum"])
-def test_manipulator_is_a_chain(variant):
-    """M, V, G, T, U and the terms of the payload are those by hand, at 500 states and sets of numbers."""
-    x, p, q, w, chain, load, turn = manipulator(variant)
-    mass = ca.SX.sym("mass")
-    ours = equations_of_motion(
-        lambda s, v: chain.kinetic(turn @ s, turn @ v, replace(load, mass=mass)),
-        lambda s: chain.potential(turn @ s, replace(load, mass=mass)),
-        q,
-        w,
-        (mass, load.mass),
-    )
-    by_hand = mechanics(x, p, VARIANTS[variant].dynamics.args[0].head)
-    found, expected = (ca.Function("f", [stack(x), stack(p)], terms_of(m)) for m in (ours, by_hand))
-    rng = np.random.default_rng(2)
-    usual = np.array([*values(VARIANTS[variant]).p.values()])
-    for _ in range(500):
-        state = rng.uniform(-2, 2, stack(x).shape[0])
-        chosen = np.where(usual, usual * rng.uniform(0.8, 1.2, usual.size), 0.1)
-        # exact identity: 1e-13 of the largest entry is 1e2 rounding errors
-        same(numbers(found, state, chosen), numbers(expected, state, chosen), 1e-13)
-
-
 def instructions(motion, inputs):
     """Of M, V and G, without common subexpressions."""
     terms = [ca.vec(ca.densify(term)) for term in (motion.mass, motion.coriolis, motion.gravity)]
@@ -229,19 +175,17 @@ def instructions(motion, inputs):
 
 
 def test_size_of_the_equations_is_that_of_the_docstring():
-    """Instructions of M, V and G: of the manipulator as a chain and by hand, and of the crane."""
-    x, p, q, w, chain, load, _ = manipulator("rigid")
-    chosen = ca.DM([*values(VARIANTS["rigid"]).p.values()])
-    by_hand = mechanics(x, p, VARIANTS["rigid"].dynamics.args[0].head)
-    counts = []
-    for motion in (chain.equations(q, w, load), by_hand):
-        terms = ca.substitute([motion.mass, motion.coriolis, motion.gravity], [stack(p)], [chosen])
-        folded = replace(motion, **dict(zip(("mass", "coriolis", "gravity"), terms, strict=True)))
-        counts.append(instructions(folded, [q, w, x.held_mass]))
+    """Instructions of M, V and G: of the paper's manipulator, and of the crane."""
+    sub = VARIANTS["rigid"]
+    x, p = symbols(sub.states), symbols(sub.parameters)
+    motion, chosen = sub.model.motion(x, p), ca.DM([*values(sub).p.values()])
+    terms = ca.substitute([motion.mass, motion.coriolis, motion.gravity], [stack(p)], [chosen])
+    folded = replace(motion, **dict(zip(("mass", "coriolis", "gravity"), terms, strict=True)))
+    counts = [instructions(folded, [stack(x)])]
     q, w = ca.SX.sym("q", 7), ca.SX.sym("w", 7)
     crane = Chain(CRANE, tuple(float(g) for g in gravity_on_slope(9.81, 0.1, -0.2)))
     counts.append(instructions(crane.equations(q, w), [q, w]))
-    pattern = r"(\d+) instructions of CasADi .* \((\d+) by hand\), (\d+) for a crane with 7"
+    pattern = r"(\d+) instructions of CasADi .* manipulator, (\d+) for a crane with 7"
     stated = re.search(pattern, " ".join(module.__doc__.split()))
     # what CasADi simplifies differs a little between its versions
     assert counts == pytest.approx([int(n) for n in stated.groups()], rel=0.02)

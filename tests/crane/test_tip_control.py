@@ -26,7 +26,7 @@ from fmus.parameters import values
 from orchestrator import load
 
 LOADER = machine().controller
-ARM, P = LOADER.dynamics.__self__.arm, values(LOADER).p
+ARM, P = LOADER.model.arm, values(LOADER).p
 RANGES = {a.joint.name: (a.low, a.high) for a in checked() if math.isfinite(a.low)}
 POSES = st.tuples(*(st.floats(low + 0.02 * (high - low), high) for low, high in RANGES.values()))
 SPEED = st.floats(-1.0, 1.0)

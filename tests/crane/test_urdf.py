@@ -44,7 +44,7 @@ FOREIGN = """<robot name="arm"><link name="world"/>
 def same(pin, crane, text, q):
     """M and G of a crane whose joints are all free are those of Pinocchio's reader, within rounding."""
     sub = manipulator(crane)
-    own = sub.dynamics.__self__
+    own = sub.model
     chain = own.chain(nested(own.parameters, values(sub).p))
     links = [type(link)(**{**vars(link), "follows": None}) for link in chain.links]
     motion = Chain(tuple(links), (0, 0, -9.81)).equations(ca.SX(q), ca.SX(0 * q))

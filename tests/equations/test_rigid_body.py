@@ -12,7 +12,6 @@ from scipy.special import ellipk
 
 from fmus.contract import stack, symbols
 from fmus.manipulator import VARIANTS
-from fmus.manipulator.arm import mechanics
 from fmus.parameters import values
 
 NUMBERS = {variant: dict(values(sub).p) for variant, sub in VARIANTS.items()}
@@ -25,7 +24,7 @@ def mechanics_of(variant):
     """(x, p) -> (M, V, G, T, U) of a variant."""
     sub = VARIANTS[variant]
     x, p = symbols(sub.states), symbols(sub.parameters)
-    motion = mechanics(x, p, sub.dynamics.args[0].head)
+    motion = sub.model.motion(x, p)
     terms = [motion.mass, motion.coriolis, motion.gravity, motion.kinetic, motion.potential]
     return ca.Function("mechanics", [stack(x), stack(p)], terms)
 

@@ -30,9 +30,7 @@ from fmus.identification.balance import Law, Samples, Solution
 from fmus.identification.procedures.experiment_data import noise_sd, parameter_value, tank_pressure
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
-from fmus.manipulator import MANIPULATOR, arm
-from fmus.manipulator.design import Design
-from fmus.manipulator.model import forces
+from fmus.manipulator import MANIPULATOR
 from fmus.manipulator.variables import ManipulatorInputs
 from fmus.parameters import Number
 from fmus.swing import SWING
@@ -56,7 +54,6 @@ PRESSURES = {
 }
 ALL_PRESSURES = tuple(name for both in PRESSURES.values() for name in both)
 SIGNALS = dict.fromkeys(ANGLES, "rad") | dict.fromkeys(ALL_PRESSURES, "Pa")
-_LUMPED = Design(MANIPULATOR.states, MANIPULATOR.outputs)
 _PARTS = (SWING, BOOM_STICK, MANIPULATOR)
 PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.parameters))
 
@@ -84,14 +81,16 @@ def symbolic_equations() -> SimpleNamespace:
     applied = {"swing_torque": swing.swing_torque}
     applied |= {n: getattr(cylinders, n) for n in ("boom_force", "stick_force")}
     x, own_p = _at(MANIPULATOR.states, measured), _parameters_of(MANIPULATOR, p)
-    mechanics, rods = arm.mechanics(x, own_p, _LUMPED.head), arm.pistons(x, own_p)
-    momentum = mechanics.mass @ w
-    tau, _ = forces(_LUMPED, x, _at(ManipulatorInputs, applied), own_p)
+    motion, forces = (
+        MANIPULATOR.model.motion(x, own_p),
+        MANIPULATOR.model.forces(x, _at(ManipulatorInputs, applied), own_p),
+    )
+    momentum, rods = motion.mass @ w, [piston.transmission for piston in forces.pistons.values()]
     return SimpleNamespace(
         **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p, "momentum": momentum},
-        force=tau + ca.jtimes(momentum, q, w) - mechanics.coriolis - mechanics.gravity,
+        force=forces.tau + ca.jtimes(momentum, q, w) - motion.coriolis - motion.gravity,
         position=ca.vertcat(*(r.position for r in rods)),
-        moment_arm=ca.vertcat(*(r.triangle.arm for r in rods)),
+        moment_arm=ca.vertcat(*(r.arm for r in rods)),
     )
 
 
