@@ -226,7 +226,8 @@ def test_a_small_lever_is_a_warning_and_the_dead_point_ends_a_run(tmp_path):
     required = of.of(of.model.require)
     assert required(of.start())[0].min() > 0
     (kept,) = required(of.start(boom_angle=1.9))  # the lever has passed zero
-    assert kept[of.model.statements.index("boom_angle keeps the pins of the boom cylinder out of line (J > 0)")] < 0
+    lever = "boom_angle keeps the pins of the boom cylinder out of line (J > 0)"
+    assert kept[of.model.statements.index(lever)] < 0
 
 
 def test_a_valve_by_its_rated_flow_passes_it(tmp_path):
