@@ -1,6 +1,5 @@
 """References and measurements in files of any kind: what is read and written, and what mistakes are told."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -10,13 +9,13 @@ import pandas as pd
 import pytest
 import scipy.io
 from kit.mistakes import problem, table
+from validation.conftest import Edit
 
 from orchestrator.data.description import Origin, Tolerance
 from orchestrator.data.recording import Recording, fill_gaps, read_recording, write_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.validation import validate
 
-Edit = Callable[[str, str], Path]
 ORIGIN = Origin(
     title='The "joined" machine',
     origin="monolith, version 1",
@@ -67,10 +66,8 @@ def test_a_recording_for_identification_is_read(edited: Edit) -> None:
     """The experiment and the instrument are there and change no sample; a misspelt key is refused."""
     instrument = 'sensor = "encoder"\nnoise = 0.1\nresolution = 0.01\nspan = [0.0, 360.0]\ndead_zone = 0.0\n'
     before = read_recording(edited('label = "Shaft', 'label = "Shaft'))
-    edited(
-        "[tolerances]",
-        '[experiment]\nprocedure = "valve"\nlength = { value = 4.0, unit = "m" }\n[tolerances]',
-    )
+    experiment = '[experiment]\nprocedure = "valve"\nlength = { value = 4.0, unit = "m" }\n'
+    edited("[tolerances]", f"{experiment}[tolerances]")
     found = read_recording(edited('label = "Shaft', f'{instrument}label = "Shaft'))
     assert found.metadata == before.metadata
     for name, signal in found.signals.items():
@@ -131,11 +128,9 @@ def test_the_encoding_of_a_logger_needs_no_key(tmp_path: Path, capsys, encoding:
     csv.with_suffix(".toml").write_text(text, encoding="utf-8")
     for _ in range(2):
         assert read_recording(csv)["x"].tolist() == [1.5, 2.5]
-    told = capsys.readouterr().err.splitlines()
-    assert [line.rpartition(" ")[2] for line in told] == {
-        "utf-8-sig": [],
-        "cp1252": ["Windows-1252"],
-    }.get(encoding, [encoding.upper()])
+    told = [line.rpartition(" ")[2] for line in capsys.readouterr().err.splitlines()]
+    usual = {"utf-8-sig": [], "cp1252": ["Windows-1252"]}
+    assert told == usual.get(encoding, [encoding.upper()])
 
 
 @pytest.mark.parametrize("kind", ["parquet", "mat"])
