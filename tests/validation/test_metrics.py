@@ -138,7 +138,7 @@ def test_iso_says_why_it_does_not_rate(reference: np.ndarray, reason: str) -> No
 
 
 def test_grades_of_the_standard() -> None:
-    """They begin above 0.94, 0.80 and 0.58; a constant simulation has no correlation and is poor, unwarned."""
+    """They begin above 0.94, 0.80 and 0.58; a constant simulation has no correlation: poor, unwarned."""
     grades = {0.95: "excellent", 0.94: "good", 0.7: "fair", 0.58: "poor"}
     assert {value: Rating(overall=value).grade for value in grades} == grades
     assert iso_rating(np.linspace(0, 4, 400), np.zeros(400), wave()).grade == "poor"
