@@ -138,10 +138,7 @@ def test_jitter_and_drift_of_the_clock(clean):
 
 @pytest.mark.parametrize(("jitter", "lost"), [(0.0005, 40), (0.001, 40), (0.0015, 0), (0.0015, 40)])
 def test_late_samples_are_no_lost_ones(clean, jitter, lost):
-    """Jitter of up to 30 % of a period has its size, and makes no remark on stamps that follow too closely.
-
-    Up to 20 % the lost samples are counted, too; beyond, those cannot be told from late ones.
-    """
+    """Jitter of up to 30 % of a period has its size, and no remark on stamps that follow too closely."""
     rng = np.random.default_rng(3)
     kept = np.sort(rng.permutation(SIZE)[lost:])
     time = np.sort((clean.time + rng.normal(0, jitter, SIZE))[kept])
@@ -156,7 +153,7 @@ def test_late_samples_are_no_lost_ones(clean, jitter, lost):
         assert told == [pytest.approx(lost, abs=4)]
         assert examine(made).rate == pytest.approx(RATE, rel=1e-3)  # a sample or two of 4000
     else:
-        assert told == []
+        assert told == []  # lost samples cannot be told from late ones
 
 
 def twice(made, rows):
