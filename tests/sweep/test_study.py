@@ -89,12 +89,15 @@ def test_mistakes_are_told_in_one_line(file, old, new, expected):
 
 
 def test_a_study_needs_something_to_vary_and_to_keep(file):
-    """Without factors and choices, or without outputs, there is no study; one option alone varies nothing."""
+    """Factors or choices, but not of one option alone; outputs; nothing varied that a scenario drives."""
     expected = "expected factors, or choices of two options and more, got neither"
     for instead in ("", '[choices]\ngain = "gain.fmu"\n'):
         assert refused(file, GAIN.replace(FACTOR, instead)) == expected
     expected = "outputs: expected at least one, got none"
     assert refused(file, GAIN[: GAIN.index("[outputs")]) == expected
+    (file.parent / "up.csv").write_text(UP)
+    expected = "choices: up.csv: the scenario drives gain.u, so this input cannot be fixed or a factor"
+    assert refused(file, GAIN + '[choices]\nscenario = "up.csv"\n') == expected
 
 
 def test_whole_numbers_stay_whole(fmus, tmp_path):
@@ -102,13 +105,6 @@ def test_whole_numbers_stay_whole(fmus, tmp_path):
     file = study(tmp_path, FAILS, fmus["fails"])
     expected = "values: expected whole numbers, as fails.how is not a Real variable"
     assert expected in refused(file, FAILS.replace("[0, 3,", "[0.5, 3,"))
-
-
-def test_what_a_scenario_drives_cannot_be_varied(file):
-    """It would have no effect."""
-    (file.parent / "up.csv").write_text(UP)
-    expected = "choices: up.csv: the scenario drives gain.u, so this input cannot be fixed or a factor"
-    assert refused(file, GAIN + '[choices]\nscenario = "up.csv"\n') == expected
 
 
 def test_a_name_that_a_variant_lacks_costs_no_search(offset, monkeypatch):
