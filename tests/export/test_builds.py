@@ -137,10 +137,3 @@ def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versio
     assert main(["build", "--out", str(tmp_path), *options]) == 0
     ((folder, fmi, names, own, *_),) = asked
     assert (folder, fmi, set(names), own) == (tmp_path, versions, set(platforms), numbers)
-
-
-def test_interrupted_command_says_so(tmp_path, monkeypatch, capsys):
-    """The exit status after an interrupt is 130, with one line of output."""
-    monkeypatch.setattr("fmus.machine.build.build_machine", interrupted)
-    assert main(["build", "--out", str(tmp_path)]) == 130
-    assert capsys.readouterr().err == "harvester: interrupted\n"

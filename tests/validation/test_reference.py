@@ -45,9 +45,9 @@ def test_reads_columns_units_groups_and_limits(folder: Path) -> None:
 def test_a_users_own_recording(tmp_path: Path) -> None:
     """Semicolons, decimal commas, a logger's head, milliseconds, other names, calibration and offset."""
     csv, toml = tmp_path / "rig.csv", tmp_path / "mapping.toml"
-    csv.write_text("logger 7\nt;POS;U\n1000;45,0;1,0\n1500;90,0;2,5\n", encoding="utf-8-sig")
+    csv.write_text("logger 7\n\nt;POS;U\n1000;45,0;1,0\n1500;90,0;2,5\n\n", encoding="utf-8-sig")
     toml.write_text(
-        '[file]\ndelimiter = ";"\ndecimal = ","\nskip_lines = 1\n'
+        '[file]\ndelimiter = ";"\ndecimal = ","\nskip_lines = 2\n'
         '[time]\ncolumn = "t"\nunit = "ms"\noffset = -1\nstart = 0.1\nstop = 0.4\n'
         '[signals."m.angle"]\ncolumn = "POS"\nunit = "deg"\n'
         '[signals."p.pressure"]\ncolumn = "U"\nunit = "bar"\nfactor = 40.0\noffset = -20\nrange = 100\n',
@@ -88,13 +88,6 @@ def test_every_mistake_is_named(edited: Edit, old: str, new: str, message: str) 
     """The message about a mistake in the TOML or CSV file contains file, position, expected and got."""
     path = edited(old, new)
     problem(lambda: read_recording(path), message)
-
-
-def test_column_that_stands_twice_is_refused(edited: Edit) -> None:
-    """Two columns with one name are ambiguous."""
-    edited('unit = "bar"', 'unit = "bar"\ncolumn = "shaft.angle"')
-    path = edited("shaft.angle,pump.pressure", "shaft.angle,shaft.angle")
-    problem(lambda: read_recording(path), r"ref.csv: expected the column 'shaft.angle' once, got it 2 times")
 
 
 def test_missing_and_empty_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

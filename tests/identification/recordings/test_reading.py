@@ -87,16 +87,6 @@ def test_columns_of_matlab_structs_and_matrices(csv, columns):
         same(reading.read(path), replace(expected, title=path.stem))
 
 
-def test_logger_with_semicolons_and_commas(csv):
-    """Lines before the names, ";" and decimal "," give the same numbers as a plain CSV file."""
-    expected = reading.read(csv)
-    plain = csv.read_text(encoding="utf-8").replace(",", ";").replace(".", ",")
-    csv.write_text(f"\ufeffLogger 7\n\n{plain}\n", encoding="utf-8")
-    how = '[file]\ndelimiter = ";"\ndecimal = ","\nskip_lines = 2\n'
-    csv.with_suffix(".toml").write_text(how + META, encoding="utf-8")
-    same(reading.read(csv), expected)
-
-
 def test_what_loggers_write_for_no_sample_is_a_gap(csv):
     """nan, NA, null and blanks are gaps like an empty cell."""
     for word in ("nan", "NA", "null", "  ", "N/A"):
