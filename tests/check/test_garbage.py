@@ -71,10 +71,7 @@ def test_an_exponent_that_is_no_number_is_wrong(good: Good, exponent: str, tmp_p
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 @pytest.mark.parametrize(
     ("name", "attributes", "rule"),
-    [
-        ("resources/link", 0o120777 << 16, "archive.link"),
-        ("documentation/index.html", 0, "archive.twice"),
-    ],
+    [("resources/link", 0o120777 << 16, "archive.link"), ("documentation/index.html", 0, "archive.twice")],
 )
 def test_a_forbidden_member_is_reported(good: Good, name: str, attributes: int, rule: str, tmp_path: Path):
     """Symbolic links, and two members with one name."""

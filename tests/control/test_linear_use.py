@@ -73,9 +73,8 @@ def test_a_loop_that_is_cut_and_closed_again_is_the_closed_loop(fmu_dir):
     system = fmu_dir / "harvester_control.ssp"
     point = {"parameters": ["reach"], "set": {"engaged": 1.0, "radial_velocity": -0.3}, "time": 1.0}
     whole = linearize(system, inputs=["radial_velocity"], **point)
-    cut = linearize(
-        system, inputs=["valve_actuation.boom_command"], outputs=["controller.boom_command"], **point
-    )
+    ends = {"inputs": ["valve_actuation.boom_command"], "outputs": ["controller.boom_command"]}
+    cut = linearize(system, **ends, **point)
     assert cut.states == whole.states
     assert cut.b.any()
     assert whole.b.any()
