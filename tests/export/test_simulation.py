@@ -171,15 +171,6 @@ def test_directional_derivatives_equal_central_differences(open_fmu, known):
     np.testing.assert_allclose(found, (high - low) / (2 * delta), rtol=1e-6, atol=1e-11 * scale)
 
 
-def test_directional_derivatives_go_through_the_start_equations(open_fmu):
-    """In initialisation mode pressure = supply / 2 and flow = conductance pressure: der_pressure stays 0."""
-    fmu = open_fmu("chamber").enter()
-    pressure, flow, rate = fmu.derivative(("pressure", "flow", "der_pressure"), ["supply"])[:, 0]
-    # exact identities, rounding only; the two terms of the rate are 80 1/s
-    assert (pressure, flow) == pytest.approx((0.5, 0.5e-11), rel=1e-15)
-    assert rate == pytest.approx(0.0, abs=1e-12)
-
-
 def test_directional_derivative_refuses_what_is_no_known(open_fmu):
     """The message contains the name, and all that is a known or an unknown in this phase."""
     fmu = open_fmu("chamber")

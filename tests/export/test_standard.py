@@ -160,7 +160,7 @@ def test_output_derivative_follows_the_given_input_derivative(open_fmu):
 
 @pytest.mark.parametrize("known", ["volume", "conductance", "supply", "heat"])
 def test_directional_derivatives_at_the_start_have_all_knowns(open_fmu, known):
-    """In initialisation mode parameters, inputs and start values are knowns."""
+    """In initialisation mode parameters, inputs and start values are knowns, through the start equations."""
     fmu = open_fmu("chamber")
     unknowns = ["pressure", "flow", "der_pressure", "der_flow", "der_heat", "force", "pressure_rate"]
     point = {"volume": 1e-4, "conductance": 1e-11, "supply": 2e7, "heat": 3.0}
