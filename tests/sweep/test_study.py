@@ -23,23 +23,18 @@ def offset(fmus, tmp_path):
     return text, study(tmp_path, text, fmus["gain"])
 
 
+def of_gain(system, fixed, **units: str) -> Study:
+    """The study of the file in Python."""
+    factors = (Factor("gain.factor", "uniform", {"minimum": 1, "maximum": 3}),)
+    outputs = (Output("end", "gain.y", "final", band=True, **units),)
+    space = {"factors": factors, "outputs": outputs, "fixed": fixed}
+    return Study("A gain", str(system), runs=12, seed=3, stop=0.2, step=0.01, **space)
+
+
 def test_a_file_is_understood(file):
     """Every key has its place; reading it again gives the same study, and so does study.json."""
     found = resolved(file)
-    assert found == Study(
-        title="A gain",
-        system="gain.fmu",
-        method="latin",
-        runs=12,
-        seed=3,
-        stop=0.2,
-        step=0.01,
-        master=None,
-        factors=(Factor("gain.factor", "uniform", {"minimum": 1.0, "maximum": 3.0}),),
-        choices=(),
-        outputs=(Output("end", "gain.y", "final", band=True, unit="m", signal_unit="m"),),
-        fixed={"gain.u": 2.0},
-    )
+    assert found == of_gain("gain.fmu", {"gain.u": 2.0}, unit="m", signal_unit="m")
     assert resolved(file) == found
     assert store.from_json(store.to_json(found), found.title) == found
 
@@ -149,17 +144,7 @@ def test_what_the_refusal_advises_is_accepted(fmu_dir, tmp_path):
 @pytest.fixture
 def in_python(gain) -> Study:
     """The study of the gain in Python."""
-    return Study(
-        "A gain",
-        str(gain),
-        runs=12,
-        seed=3,
-        stop=0.2,
-        step=0.01,
-        factors=(Factor("gain.factor", "uniform", {"minimum": 1, "maximum": 3}),),
-        outputs=(Output("end", "gain.y", "final", band=True),),
-        fixed={"gain.u": (200, "cm")},
-    )
+    return of_gain(gain, {"gain.u": (200, "cm")})
 
 
 def test_python_and_file_give_the_same_results(in_python, gain, tmp_path):
