@@ -15,7 +15,6 @@ from fmus.export.compile import FLAGS, PLATFORMS, host
 from orchestrator.__main__ import main
 from orchestrator.base.errors import Problem
 
-
 CACHE = "orchestrator.base.compiler.cache_folder"
 # compiles the C library of each, in minutes
 EVERY = pytest.param(tuple(PLATFORMS), marks=shards.platforms)

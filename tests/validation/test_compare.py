@@ -14,6 +14,7 @@ from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.validation import Validation, by_variable, validate
 
+
 def made(time: np.ndarray, values: np.ndarray, unit: str = "m", limit: Tolerance | None = None, **more):
     """A reference of the one signal `a.x`."""
     criteria = {"a.x": Criterion(tolerance=limit)}

@@ -75,7 +75,7 @@ LOGS = {
     "commands 20 ms early": (lambda c: early(c, 20, 20, 20), {"command": {"delay": 0.02}}, ""),
     "commands 10 to 100 ms early": (lambda c: early(c, 10, 40, 100), {"command": {"delay_error": 0.2}}, ""),
     "empty cells": (lambda c: held(c, c["time"].size, gap=True), {}, ""),
-    "repeated cells": (lambda c: held(c, c["time"].size), dict.fromkeys(UNITS, {"held": True}), ""),
+    "repeated cells": (lambda c: held(c, c["time"].size), {n: {"held": True} for n in UNITS}, ""),
     "codes at the pressures": (
         lambda c: coded(c, *PRESSURES),
         {},
@@ -83,7 +83,9 @@ LOGS = {
     ),
     "codes at the supply": (lambda c: coded(c, SUPPLY), {}, r"supply_pressure: \d+ samples far from all"),
     "codes that are stated": (
-        lambda c: coded(c, SUPPLY, *PRESSURES), {"pressure": {"invalid": [NO_VALUE]}}, ""
+        lambda c: coded(c, SUPPLY, *PRESSURES),
+        {"pressure": {"invalid": [NO_VALUE]}},
+        "",
     ),
     "50 Hz": (lambda c: {n: y[::4] for n, y in c.items()}, {}, ""),
     "20 Hz": (lambda c: {n: y[::10] for n, y in c.items()}, {}, ""),
