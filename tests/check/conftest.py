@@ -1,15 +1,13 @@
 """Fixtures of the tests of `harvester check`."""
 
-from collections.abc import Mapping
-
 import pytest
 
-from check.good import Archive, make
+from check.good import Good, make
 from check.oscillator import Oscillators
 
 
 @pytest.fixture(scope="session")
-def good() -> Mapping[int, Archive]:
+def good() -> Good:
     """The good FMU of FMI 2 and of FMI 3."""
     return {major: make(major) for major in (2, 3)}
 

@@ -61,14 +61,14 @@ class Archive:
         return packed(path, self.members)
 
 
+Good = Mapping[int, Archive]  # the fixture `good`: by version of FMI
+
+
 def compiled(target: str, *flags: str) -> bytes:
     """A library for a target; without debug information unless the flags ask for it."""
     # debug information without paths of this machine: they are a fault of their own
-    more = (
-        ["-fdebug-compilation-dir=project", f"-ffile-prefix-map={sys.prefix}=python"]
-        if "-g" in flags
-        else ["-s"]
-    )
+    paths = ["-fdebug-compilation-dir=project", f"-ffile-prefix-map={sys.prefix}=python"]
+    more = paths if "-g" in flags else ["-s"]
     more += ["-Wl,-install_name,@rpath/lag.dylib"] if "macos" in target else []
     more += FREESTANDING if "linux" not in target else []
     flags = (*SHARED, "-std=c99", "-Wno-unused-parameter", *more, *flags)

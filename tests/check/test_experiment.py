@@ -20,9 +20,8 @@ HEAD = f'<fmiReferences xmlns:l="{LS}" l:fmi-ls-name="org.fmi-standard.fmi-ls-re
 @pytest.fixture(scope="module")
 def result(oscillators: Oscillators) -> str:
     """Position of the oscillator over its default experiment, as a CSV file."""
-    rows = fmpy.simulate_fmu(
-        str(oscillators.make()), validate=False, fmi_type="CoSimulation", output=["position"]
-    )
+    options = {"validate": False, "fmi_type": "CoSimulation", "output": ["position"]}
+    rows = fmpy.simulate_fmu(str(oscillators.make()), **options)
     return "time,position\n" + "".join(f"{t!r},{x!r}\n" for t, x in rows.tolist())
 
 

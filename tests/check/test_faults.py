@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from check.good import DESCRIPTION, Archive
+from check.good import DESCRIPTION, Archive, Good
 from orchestrator.check.checking import check
 
 Fault = Mapping[str, Any]
@@ -43,9 +43,7 @@ def new_findings(archive: Archive, path: Path) -> list[tuple[str, str, str]]:
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=[f"{f['name']}-{f.get('fmi', 2)}" for f in FAULTS])
-def test_a_planted_fault_is_reported_by_its_rule_alone(
-    good: Mapping[int, Archive], fault: Fault, tmp_path: Path
-) -> None:
+def test_a_planted_fault_is_reported_by_its_rule_alone(good: Good, fault: Fault, tmp_path: Path) -> None:
     """One change of the valid FMU gives findings of one rule, with the right severity."""
     found = new_findings(planted(fault, good[fault.get("fmi", 2)]), tmp_path)
     assert {rule for rule, _, _ in found} == {fault["rule"], *fault.get("also", ())}, found

@@ -1,19 +1,18 @@
 """FMUs without faults have no findings."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 from kit import shards
 from kit.any_fmu.models import MODELS, Workshop
 
-from check.good import Archive
+from check.good import Good
 from orchestrator.check.checking import check
 from orchestrator.check.report import ANY, TOOLS
 
 
 @pytest.mark.parametrize("major", [2, 3])
-def test_the_complete_fmu_gives_no_finding(good: Mapping[int, Archive], major: int, tmp_path: Path) -> None:
+def test_the_complete_fmu_gives_no_finding(good: Good, major: int, tmp_path: Path) -> None:
     """An FMU that fulfils all rules has no findings; only FMI 3 gives a note, because some tools lack it."""
     path = good[major].write(tmp_path / "lag.fmu")
     report = check(path, run=False)

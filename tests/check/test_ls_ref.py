@@ -16,27 +16,12 @@ from lxml import etree
 from check.test_probes import opened
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
+from fmus.export import model_description
 from fmus.export.build import build
-from fmus.export.model_description import (
-    FOLDER,
-    NRMSE_LIMIT,
-    PAGE,
-    TOLERANCE,
-    data_file,
-    ls_ref_files,
-    reference_parameters,
-)
+from fmus.export.model_description import FOLDER, NRMSE_LIMIT, TOLERANCE, data_file, ls_ref_files
+from fmus.machine import reference
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import FAMILIES, FERIC
-from fmus.machine.reference import (
-    RESULT_DIGITS,
-    STEM,
-    compared_outputs,
-    machine_signals,
-    solve,
-    start_values,
-    stimuli,
-)
 from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
@@ -143,10 +128,10 @@ def test_another_importer_reproduces_the_result(fmu_dir, name):
 @shards.machine
 def test_the_committed_experiments_are_those_of_the_equations():
     """`python -m fmus.machine.reference` writes the same inputs, parameters and beginning of each result."""
-    empty, loaded = machine_signals(), machine_signals([STEM])
+    empty, loaded = reference.machine_signals(), reference.machine_signals([reference.STEM])
     for sub in SUBSYSTEMS.values():
-        moving = stimuli(sub, loaded if "payload_mass" in quantities(sub.inputs) else empty)
-        v = start_values(sub, moving)
+        moving = reference.stimuli(sub, loaded if "payload_mass" in quantities(sub.inputs) else empty)
+        v = reference.start_values(sub, moving)
         _, told = table(data_file(sub, "result.csv"))
         if moving:
             _, given = table(data_file(sub, "input.csv"))
@@ -157,13 +142,13 @@ def test_the_committed_experiments_are_those_of_the_equations():
                 assert np.allclose(samples, column, rtol=1e-7, atol=1e-7 * np.ptp(samples)), name
         stated = read_parameters(data_file(sub, "parameters.ssv"))
         assert {n: float(x) for n, x in stated.items() if n in v.p} == dict(v.p)
-        found = solve(sub, v, moving, 200)
+        found = reference.solve(sub, v, moving, 200)
         for name, column in told.items():
             shown = found[name][::4]
             expected = np.array([float(x) for x in column[: shown.size]])
             scale = quantities(sub.outputs)[name].nominal
-            # the digits of the file, and as above
-            assert np.allclose(shown, expected, rtol=10.0**-RESULT_DIGITS, atol=1e-6 * scale), name
+            digits = 10.0**-reference.RESULT_DIGITS  # of the file, and as above
+            assert np.allclose(shown, expected, rtol=digits, atol=1e-6 * scale), name
 
 
 def test_what_is_compared_moves_and_does_not_jump():
@@ -171,7 +156,7 @@ def test_what_is_compared_moves_and_does_not_jump():
     n = 11
     moving = {"swing_acceleration": np.linspace(0, 1, n), "swing_speed": np.linspace(0, 1, n)}
     found = {name: np.linspace(0, 10 * q.nominal, n) for name, q in quantities(SWING.outputs).items()}
-    shown = compared_outputs(SWING, moving, found)
+    shown = reference.compared_outputs(SWING, moving, found)
     assert "swing_torque" in shown  # of the speed, which moves by the acceleration
     assert "swing_torque_rate" not in shown  # of the acceleration
     assert "swing_void_volume" not in shown
@@ -181,8 +166,7 @@ def test_an_fmu_with_other_values_reproduces_the_same_experiment(tmp_path):
     """The parameter set contains the values of the experiment, whatever values the FMU was built with."""
     v = values(SWING)
     other = replace(v, p={**v.p, "initial_preload": 3e6, "gear_ratio": 1.1 * v.p["gear_ratio"]})
-    path = build(SWING, tmp_path, values=other)
-    result = compared(path, tmp_path / "swing")
+    result = compared(build(SWING, tmp_path, values=other), tmp_path / "swing")
     assert max(result.errors.values()) < NRMSE_LIMIT
 
 
@@ -198,7 +182,7 @@ def test_an_experiment_without_inputs_has_no_stimuli():
     files = ls_ref_files(OPERATOR)
     assert f"{FOLDER}/input.csv" not in files
     assert b"Stimuli" not in files[f"{FOLDER}/experiment.exp"]
-    assert b"There are no inputs" in files[PAGE]
+    assert b"There are no inputs" in files[model_description.PAGE]
 
 
 def test_the_files_are_small_and_the_parameter_sets_keep_the_schema():
@@ -214,5 +198,6 @@ def test_the_files_are_small_and_the_parameter_sets_keep_the_schema():
 def test_a_parameter_set_reads_back(tmp_path):
     """Every digit that a double has."""
     path = tmp_path / "p.ssv"
-    path.write_bytes(reference_parameters(SWING, {"a": 0.1 + 0.2, "b": 1e-300}))
-    assert {n: float(x) for n, x in read_parameters(path).items()} == {"a": 0.1 + 0.2, "b": 1e-300}
+    given = {"a": 0.1 + 0.2, "b": 1e-300}
+    path.write_bytes(model_description.reference_parameters(SWING, given))
+    assert {n: float(x) for n, x in read_parameters(path).items()} == given

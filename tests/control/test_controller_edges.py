@@ -60,17 +60,14 @@ def test_whatever_comes_in_the_rates_are_finite_and_commands_stay_within_the_val
 
 @pytest.mark.parametrize("axis", ["boom", "stick"])
 def test_an_angle_that_passes_dead_centres_does_not_stop_the_solver(axis):
-    """The rate of the load stays below 1e7 N/s at every angle that a broken sensor can read.
-
-    The force for an acceleration is M a/lever: 1e9 to 1e11 N/s in steps of 1 mrad if the lever is not
-    bounded, and a run with a lost sensor then failed. Bounded, a tonne at the tip makes 8e5 N/s.
-    """
+    """The rate of the load stays below 1e7 N/s at every angle that a broken sensor can read."""
     u = measured(0.3, -1.2) | {"boom_speed": 0.2, "engaged": 0.0}
     x, most = PART.start(u), 0.0
     x[STATES.index("stick_load")] *= 1.5
     for q in np.arange(-np.pi, np.pi, 1e-3):
         x[STATES.index(f"reference_{axis}")] = q
         most = max(most, abs(rates(x, u | {f"{axis}_angle": q})[STATES.index(f"{axis}_load")]))
+    # M a/lever: 1e9 to 1e11 N/s if the lever is not bounded; bounded, a tonne at the tip makes 8e5 N/s
     assert most < 1e7
 
 
@@ -132,18 +129,15 @@ def test_the_swing_goes_on_past_half_a_turn(machine):
 
 @pytest.mark.parametrize("pressure", shards.few([3e6], [0.0, 3e6, 8e6], shards.machine))
 def test_without_supply_the_arm_stays_up(machine, pressure):
-    """Lost while the path goes up: the valve closes, for open it would let the arm sink; then it goes on.
-
-    The boom catches up below 0.36 rad/s, its speed on the side and the position gain times the error at which
-    the reference waits, and comes back onto the path.
-    """
+    """Lost while the path goes up: the valve closes, for open it would let the arm sink; then it goes on."""
     square = read_trace(data("scenarios/square.csv"))
     gone = np.clip(np.minimum((square.time - 5.5) / 0.1, (8.5 - square.time) / 0.1), 0, 1)
     supply = 20.684e6 + gone * (pressure - 20.684e6)
     trace = driven(machine, square.time, "square", supply_pressure=supply, **square.signals)
     assert trace[TIP[2]].min() > square["path_height"].min() - 0.05
+    # its speed on the side, and the position gain times the error at which the reference waits
     assert np.abs(trace["manipulator.boom_speed"]).max() < 0.36
-    assert trace["controller.tip_error"][-1] < 0.005
+    assert trace["controller.tip_error"][-1] < 0.005  # back on the path
 
 
 def test_engaged_that_flickers_makes_no_more_than_a_smaller_motion(machine):
@@ -158,8 +152,7 @@ def test_engaged_that_flickers_makes_no_more_than_a_smaller_motion(machine):
 def test_engaging_at_full_swing_brings_the_arm_to_rest(machine):
     """1.1 rad/s and the boom rising, then engaged with the joystick at rest: it stops and stays.
 
-    The arm swings out on its oil, and what is left dies away slowly, as the valve crosses its dead band late:
-    3 mm of the tip in the sixth second.
+    The valve crosses its dead band late: the arm still swings on its oil by 3 mm in the sixth second.
     """
     levers = {"boom_lever": [0, 0, 4, 4, 4, 4], "swing_lever": [0, 0, 5, 5, 5, 5]}
     resting(driven(machine, [0, 0.5, 1, 2, 2.001, 13], engaged=[0, 0, 0, 0, 1, 1], **levers))

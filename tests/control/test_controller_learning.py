@@ -23,12 +23,10 @@ def worked(machine, monkeypatch, given, **of) -> tuple[np.ndarray, Trace, float]
 
 @pytest.mark.parametrize("by", [-0.2, 0.2])
 def test_dead_bands_come_out_as_they_are(machine, monkeypatch, by):
-    """Each direction of each valve, from 45 s of other work: within 0.03 V, a seventh of what was wrong.
-
-    Lags of spool and oil that the observer leaves out are errors of the valve of this size.
-    """
+    """Each direction of each valve, from 45 s of other work: within 0.03 V, a seventh of what was wrong."""
     error, trace, begin = worked(machine, monkeypatch, dead_band("lumped", by))
     for name in BANDS:
+        # lags of spool and oil that the observer leaves out are errors of the valve of this size
         assert trace[name][-1] == pytest.approx(by, abs=0.03), name
     on = trace.time >= begin
     assert error[on].max() < 0.010  # 14 and 28 mm without learning
@@ -47,12 +45,9 @@ def test_what_was_learned_can_be_given_back(machine, monkeypatch):
 
 
 def test_the_command_keeps_what_was_learned_in_a_file(machine, tmp_path, capsys):
-    """Dead bands and play that nobody knows: a run with the file begins as good as the last one ended.
-
-    Hysteresis 6 %, assumed 4 %; dead bands 0.2 V wider. Without the file the first motion errs by 30 mm.
-    """
+    """Dead bands and play that nobody knows: a run with the file begins as good as the last one ended."""
     system, file = str(machine), tmp_path / "learned.ssv"
-    other = dead_band("lumped", 0.2) | {"valve_actuation.hysteresis": 0.06}
+    other = dead_band("lumped", 0.2) | {"valve_actuation.hysteresis": 0.06}  # assumed: 4 %
     given = [f"--set={n}={x}" for n, x in other.items()] + ["--swap=swing=lumped", "--no-compare"]
     given += [f"--out={tmp_path}", "--set=controller.learning=1"]
 
@@ -62,7 +57,7 @@ def test_the_command_keeps_what_was_learned_in_a_file(machine, tmp_path, capsys)
 
     first, last = ridden(f"--learned={file}")
     assert f"{file}: 13 values that the controller has learned" in capsys.readouterr().out
-    assert first > 0.025
+    assert first > 0.025  # 30 mm without the file
     again = ridden(f"--parameters={file}")
     assert max(again) < 1.2 * last  # a third of the first; two paths differ by this
     values = dict(re.findall(r'name="controller\.(\w+)">\s*<ssv:Real value="(\S+)"', file.read_text()))
@@ -93,10 +88,7 @@ def test_ten_minutes_at_rest_teach_nothing(machine):
 
 
 def test_a_jump_of_the_dead_band_is_learned_within_half_a_minute(machine, monkeypatch):
-    """Learned 0.2 V that are no longer there: after 30 s of work a quarter is left at most.
-
-    A direction moves for a few of these seconds only.
-    """
+    """Learned 0.2 V that are no longer there: a quarter is left after 30 s, a few for each direction."""
     start = dict.fromkeys(BANDS, 0.2)
     _, trace, begin = worked(machine, monkeypatch, start, before=30.0)
     at_begin = np.searchsorted(trace.time, begin)

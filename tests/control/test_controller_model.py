@@ -57,11 +57,7 @@ def test_feedforward_alone_uses_no_measurement():
 
 
 def test_engaging_a_moving_machine_is_bumpless(fmu_dir):
-    """Driven by a lever, then engaged at the same speed: the command bends, it does not jump.
-
-    The machine here moves as its valve says in steady motion, so the lever's command is what the controller
-    would have chosen: what it changes in the first 50 ms stays below 0.1 V of 2 V (pressures of rest).
-    """
+    """Driven by a lever, then engaged at the same speed: the command bends, it does not jump."""
     u = {**V.u, "boom_lever": 1.6, "boom_speed": 0.1}
     with driving(fmu_dir / "controller.fmu", **u) as run:
 
@@ -78,6 +74,8 @@ def test_engaging_a_moving_machine_is_bumpless(fmu_dir):
         assert run["tip_error"] < 3e-3
         radial, vertical = run["radial_lever"], run["vertical_lever"]
         engaged = step(5, engaged=1.0, radial_velocity=radial, vertical_velocity=vertical)
+    # the machine moves as its valve says in steady motion, so the controller chooses the lever's command,
+    # but for pressures of rest: 0.1 V of 2 V in the first 50 ms
     assert np.abs(np.diff([1.6, *engaged])).max() < 0.1
 
 

@@ -110,10 +110,7 @@ def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
 @examples(30)
 @given(ANGLES, st.floats(-math.pi, math.pi), st.floats(0.5, 3.0))
 def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, heading, speed):
-    """Driven anywhere for 4 s, the machine follows: pistons stay a margin from the ends, the tip on a line.
-
-    0.1 mm for creep and the Euler steps; the direction to rounding, where the inverse is not damped.
-    """
+    """Driven anywhere for 4 s, the machine follows: pistons keep off their ends, the tip stays on a line."""
     velocity = speed * math.cos(heading), speed * math.sin(heading)
     u = measured(*angles, radial_velocity=velocity[0], vertical_velocity=velocity[1])
     x, first = PART.start(u), pistons(*angles)
@@ -125,10 +122,11 @@ def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, 
         moving = ARM.tip_velocity((0.0, boom, stick), speeds, P)
         across = float(moving.radius) * velocity[1] - float(moving.height) * velocity[0]
         bend = math.sin(stick - math.atan2(P.stick_pivot_z, P.stick_pivot_x))
-        if abs(bend) > P.singular_share:
-            assert abs(across) <= 1e-9 * speed
+        if abs(bend) > P.singular_share:  # where the inverse is not damped
+            assert abs(across) <= 1e-9 * speed  # rounding
         x = x + 0.02 * dx
         for now, before, stroke in zip(pistons(boom, stick), first, STROKES, strict=True):
+            # 0.1 mm for creep and the Euler steps
             assert min(P.stroke_margin, before) - 1e-4 <= now <= max(stroke - P.stroke_margin, before) + 1e-4
 
 
@@ -175,10 +173,7 @@ MASSES = st.floats(50, 2000)
 
 @given(ANGLES, MASSES, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 def test_a_mass_at_the_tip_is_told_by_the_loads_and_moved_by_its_force(angles, mass, turn, boom, stick):
-    """M a along each joint, a of a tip that speeds up from rest; inertia of each axis by its kinetic energy.
-
-    The mass is short by the square of `LEAST_ARM`, 0.1 m, over that of the longer arm, 2 m and more: 0.25 %.
-    """
+    """M a along each joint, of a tip that speeds up from rest; inertia of each axis by its kinetic energy."""
     q, rates = (0.0, *angles), (turn, boom, stick)
     loads, pistons = load(q, mass)
     carried = ARM.carried(q, pistons, (0.0, 0.0, 0.0), rates, loads, P)
@@ -187,6 +182,7 @@ def test_a_mass_at_the_tip_is_told_by_the_loads_and_moved_by_its_force(angles, m
     assume(max(abs(h) for _, h in ARM.columns(q, P)) > 2)
     power = mass * (along.radius**2 + along.height**2 + (radius * along.angle) ** 2)
     worked = sum(f * lever * w for (_, f), (_, lever), w in zip(carried, pistons, rates, strict=True))
+    # short by the square of `LEAST_ARM`, 0.1 m, over that of the longer arm, 2 m and more: 0.25 %
     assert float(worked) == pytest.approx(float(power), rel=3e-3, abs=1e-9)
     for k, (inertia, _) in enumerate(carried):
         one = [float(k == i) for i in range(3)]

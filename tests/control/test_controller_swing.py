@@ -64,15 +64,10 @@ QUICK = [(-0.6, 0.6, USUAL), (-0.6, 0.6, TIGHT), (0.4, 0.6, USUAL), (0.0, 0.4, T
 
 @pytest.mark.parametrize(("before", "after", "limit"), shards.few(QUICK, BEFORE_AFTER, shards.machine))
 def test_what_is_asked_at_once_is_reached(machine, before, after, limit):
-    """However the speed wanted jumps and however soon the reference waits, the arm does not swing on.
-
-    A reference that also waited for a machine ahead of it kept the arm between -0.3 and 0.9 rad/s for ever.
-    """
-    time, speed = slewed(
-        machine, [0, 6, 6.001, 20], [before, before, after, after],
-        **IDEAL | {"controller.swing_error_limit": limit},
-    )  # fmt: skip
-    last = speed[time > 16]
+    """However the speed wanted jumps and however soon the reference waits, the arm does not swing on."""
+    given = IDEAL | {"controller.swing_error_limit": limit}
+    time, speed = slewed(machine, [0, 6, 6.001, 20], [before, before, after, after], **given)
+    last = speed[time > 16]  # a reference that waited for a machine ahead of it, too: -0.3 to 0.9 rad/s
     assert np.ptp(last) < 0.01  # rad/s
     assert last.mean() == pytest.approx(after, rel=0.02)  # at 0.6 the speed limit takes 1.8 %
 

@@ -42,10 +42,7 @@ def test_fmpy_runs_the_controller_alone(request, capfd, version, kind):
 
 
 def test_fmpy_runs_the_system(fmu_dir, ours):
-    """simulate_ssp: inwards, level and calm, though it gives zeros to all connected inputs in the first step.
-
-    The controller takes them for another pose, and its reference begins 0.15 m further out.
-    """
+    """simulate_ssp: inwards, level, calm, though it gives zeros to all connected inputs in the first step."""
     system = str(fmu_dir / "harvester_control.ssp")
     chosen = read_ssv(system, "resources/nominal.ssv")
     for name, value in JOYSTICK.items():
@@ -53,6 +50,7 @@ def test_fmpy_runs_the_system(fmu_dir, ours):
         parameter.name, parameter.type, parameter.value = f"controller.{name}", "Real", str(value)
         chosen.parameters.append(parameter)
     rows = simulate_ssp(system, stop_time=STOP, step_size=STEP, parameter_set=chosen)
+    # the controller takes the zeros for another pose: its reference begins 0.15 m further out
     assert [rows[f"manipulator.{n}"][-1] for n in TIP] == pytest.approx(ours, abs=0.2)
 
 
@@ -79,14 +77,12 @@ def test_libcosim_runs_the_system(fmu_dir, capfd, ours):
     hand = load("libcosimpy.CosimManipulator").CosimManipulator.create_override()
     assert execution.add_manipulator(hand)
     index = {info.name.decode(): info.index for info in execution.slave_infos()}
-    places = {
-        part: {v.name.decode(): v.reference for v in execution.slave_variables(index[part])}
-        for part in ("controller", "manipulator")
-    }
-    hand.slave_real_values(
-        index["controller"], [places["controller"][n] for n in JOYSTICK], list(JOYSTICK.values())
-    )
+
+    def places(part, names):
+        of = {v.name.decode(): v.reference for v in execution.slave_variables(index[part])}
+        return index[part], [of[n] for n in names]
+
+    hand.slave_real_values(*places("controller", JOYSTICK), list(JOYSTICK.values()))
     assert execution.step(step_count=round(STOP / STEP))
-    found = observer.last_real_values(index["manipulator"], [places["manipulator"][n] for n in TIP])
-    assert list(found) == pytest.approx(ours, abs=NEAR)
+    assert list(observer.last_real_values(*places("manipulator", TIP))) == pytest.approx(ours, abs=NEAR)
     check_log("".join(capfd.readouterr()))

@@ -19,9 +19,7 @@ PRESSURE = "supply.supply_pressure"
 COMMANDS = [f"controller.{n}_command" for n in ("swing", "boom", "stick")]
 
 
-def tracked(
-    machine, path: str, scenario: Trace | None = None, **options
-) -> tuple[np.ndarray, np.ndarray, Trace]:
+def tracked(machine, path: str, scenario: Trace | None = None, **options):
     """Times and distances in space between the commanded point and the stick end [m]; the trace."""
     commanded = scenario or read_trace(data(f"scenarios/{path}.csv"))
     options = {"record": [*TIP, ANGLE], "record_step": 0.01, "parameters": [path], **options}

@@ -38,15 +38,12 @@ def drawn(rng: np.random.Generator, wide: float) -> tuple[dict, dict, dict]:
 @examples(300)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.01, 0.1, 1.0, 3.0]))
 def test_the_document_gives_the_controller(seed, wide):
-    """Rates and outputs from the document are those of the subsystem, at any state, input and number.
-
-    1e-8 of each value, and of 1 where that is small: rounding, and two steps of Halley's method in the
-    project's inverse of the valve's curve, good to 1e-9.
-    """
+    """Rates and outputs from the document are those of the subsystem, at any state, input and number."""
     x, u, p = drawn(np.random.default_rng(seed), wide)
     found = PART.function(list(x.values()), list(u.values()), list(p.values()))
     document = written(Group(**x), Group(**u), Group(**p))
     for names, got, expected in zip((STATES, OUTPUTS), found, document, strict=False):
         for name, value in zip(names, got.full()[:, 0], strict=True):
+            # rounding, and two steps of Halley's method in the inverse of the valve's curve, good to 1e-9
             room = 1e-8 * max(1.0, abs(x.get(name, 1.0)))
             assert value == pytest.approx(expected[name], rel=1e-8, abs=room), name

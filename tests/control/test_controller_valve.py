@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.equations import OIL, lines, number
+from scipy.optimize import brentq
 
 from fmus.components import pressure_compensator, spool_valve
 from fmus.components.spool_valve import Valve
@@ -41,13 +42,11 @@ def drives() -> dict[str, Actuator]:
 
 @given(VALVES, st.floats(40 * FOOT, 1.0), st.sampled_from([-1, 1]))
 def test_command_opens_the_valve_as_asked(v, share, sign):
-    """The curve of the valve returns the opening, and the other edges stay closed, above the rounded foot.
-
-    There opening / size is short of 1 by (foot / opening)^2 / 2, 1/3200 at most: 0.5 mV of a dead band of
-    1.5 V. That is 0.7 % of the smallest share here of 3.5 V, and more where the curve is rounded.
-    """
+    """The curve of the valve returns the opening, and the other edges stay closed, above the rounded foot."""
     command = number(valve.command(v, sign * share, FOOT))
     shape = (v.dead_band, v.full_command, v.command_rounding)
+    # opening / size is short of 1 by (foot / opening)^2 / 2, 1/3200 at most: 0.5 mV of a dead band of 1.5 V,
+    # 0.7 % of the smallest share here of 3.5 V, and more where the curve is rounded
     assert number(spool_valve.opening(sign * command, *shape)) == pytest.approx(share, rel=0.03)
     assert number(spool_valve.opening(-sign * command, *shape)) == 0
 
@@ -64,37 +63,24 @@ def test_command_is_odd_and_increasing():
 
 
 def settled(a: Actuator, share: float, load: float) -> float:
-    """Speed at which both chambers are at rest: bisection on the valve's own port equation, hose in series.
+    """Speed at which both chambers are at rest, by the valve's own port equation with the hose in series."""
+    forward, backward = max(share, 0.0), max(-share, 0.0)
 
-    Signs of flows: into the line. The pressure of each port follows from its flow.
-    """
+    def pressure(q: float, *openings: float) -> float:  # of a port with the flow q into the line
+        node = spool_valve.edge_flows_from_flow(a.valve, q, *openings, lines(SUPPLY, TANK), OIL)
+        return number(node.pressure - a.hose.turbulent * q * abs(q))
 
     def excess(speed: float) -> float:
-        forward, backward = max(share, 0.0), max(-share, 0.0)
-        flows = a.head_area * speed, -a.rod_area * speed
-        nodes = (
-            spool_valve.edge_flows_from_flow(a.valve, flows[0], forward, backward, lines(SUPPLY, TANK), OIL),
-            spool_valve.edge_flows_from_flow(a.valve, flows[1], backward, forward, lines(SUPPLY, TANK), OIL),
-        )
-        head, rod = (
-            number(n.pressure - a.hose.turbulent * q * abs(q)) for n, q in zip(nodes, flows, strict=True)
-        )
-        return a.head_area * head - a.rod_area * rod - load
+        head = pressure(a.head_area * speed, forward, backward)
+        return a.head_area * head - a.rod_area * pressure(-a.rod_area * speed, backward, forward) - load
 
-    low, high = -3.0, 3.0  # the force that is left falls with the speed
-    for _ in range(50):
-        middle = (low + high) / 2
-        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
-    return low
+    return brentq(excess, -3.0, 3.0)  # the force that is left falls with the speed
 
 
 @pytest.mark.parametrize("share", [-0.8, -0.2, -0.03, 0.03, 0.2, 0.8])
 @pytest.mark.parametrize("name", ["swing", "boom", "stick"])
 def test_opening_gives_the_speed_when_pressures_have_settled(name, share):
-    """The steady state of the valve equations at the opening for a speed is this speed, for any load.
-
-    2 %: leakage, and laminar flow, which the controller leaves out; 6 % at 3 % opening.
-    """
+    """The steady state of the valve equations at the opening for a speed is this speed, for any load."""
     a = drives()[name]
     for part in (-0.3, 0.0, 0.3):
         load = part * SUPPLY * a.rod_area
@@ -103,16 +89,14 @@ def test_opening_gives_the_speed_when_pressures_have_settled(name, share):
         above_tank = load - (a.head_area - a.rod_area) * TANK
         full = valve.nominal_full_speeds(a, above_tank, SUPPLY - TANK)
         found = number(valve.opening_for(a, speed, full))
+        # leakage, and laminar flow, which the controller leaves out
         assert found == pytest.approx(share, rel=0.02 if abs(share) > 0.1 else 0.06)
 
 
 @pytest.mark.parametrize("share", [-0.8, -0.03, 0.03, 0.8])
 @pytest.mark.parametrize("name", ["swing", "boom", "stick"])
 def test_a_compensated_section_gets_the_command_for_its_flow(name, share):
-    """A section of the compensated drives, at the command for a speed, passes the flow of this speed.
-
-    With no droop, at 10 and 150 bar: 1 % of rounding where the valve opens, 0.1 % above it.
-    """
+    """Without droop, at 10 and 150 bar, a section passes the flow of a speed at the command for it."""
     part = "swing" if name == "swing" else "boom_stick"
     p = parameters(FAMILIES[part]["compensated"])
     p = replace(p, compensator=replace(p.compensator, droop=0.0))
@@ -126,6 +110,7 @@ def test_a_compensated_section_gets_the_command_for_its_flow(name, share):
     for load in (1e6, 15e6):
         ports = pressure_compensator.section_ports(section, command, (load, load), lines(SUPPLY, TANK, load))
         flow = number(ports[fed].edges.supply) - a.valve.leakage * (SUPPLY - load)
+        # rounding of the curve where the valve opens
         assert flow == pytest.approx(abs(speed) * area, rel=1e-2 if abs(share) < 0.1 else 1e-3)
 
 

@@ -81,8 +81,7 @@ def test_the_matrices_are_those_made_by_hand(fmu_dir, tmp_path, speeds):
     i, j = [x.index(s.name) for s in linear.states], [y.index(s.name) for s in linear.outputs]
     assert len(i) == len(x)
     assert (np.abs(b).max(axis=0) > 0.0).all() == bool(speeds)  # at rest the swing is in its dead band
-    for found, wanted in zip(
-        (linear.a, linear.b, linear.c, linear.d), (a[i][:, i], b[i], c[j][:, i], d[j]), strict=True
-    ):
+    by = (a[i][:, i], b[i], c[j][:, i], d[j])
+    for found, wanted in zip((linear.a, linear.b, linear.c, linear.d), by, strict=True):
         # sums in another order: rounding; below 1e-30 are products of openings that underflow
         np.testing.assert_allclose(found, wanted, rtol=1e-14, atol=1e-30)

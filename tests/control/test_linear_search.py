@@ -135,13 +135,10 @@ def test_steps_grow_on_straight_paths_and_are_repeated_on_bent_ones(ratio, facto
 
 
 def test_a_search_ends_after_3000_steps():
-    """A plant that cannot be evaluated: its matrices are asked for at first and after each step taken.
-
-    The first nine shorten it to 1e-9 s, below which a step is taken as it is.
-    """
+    """A plant that cannot be evaluated: its matrices are asked for at first and after each step taken."""
     plant = Plant(lambda x, u: [1], [[0]], x=[1], refused=10**6)
     assert not Search(plant, (), ()).run({})
-    assert plant.asked == 1 + 3000 - 9
+    assert plant.asked == 1 + 3000 - 9  # nine shorten the step to 1e-9 s; below, it is taken as it is
 
 
 def test_joints_reach_their_speeds_in_half_a_second():
@@ -156,10 +153,7 @@ def test_joints_reach_their_speeds_in_half_a_second():
 
 @pytest.mark.parametrize(("side", "speed"), [(1.0, 0.0), (-1.0, 0.0), (1.0, 2.0)])
 def test_an_input_acts_against_acceleration_and_jerk(side, speed):
-    """u' = -k (a + T a') with p' = g u, a = p - load, by one implicit Euler step: two equations, by hand.
-
-    A joint in motion gets four lags, a joint at rest two longer ones, too.
-    """
+    """u' = -k (a + T a') with p' = g u, a = p - load, by one implicit Euler step: two equations, by hand."""
     gain, load, p, u, nominal, size = side * 3.0, 1.5, 0.5, 0.25, 2.0, 4.0
     a = np.zeros((4, 4))
     a[0, 1] = a[1, 2] = 1
@@ -170,7 +164,7 @@ def test_an_input_acts_against_acceleration_and_jerk(side, speed):
     assert not Search(plant, [JOINT], ()).run({"boom": speed})
     starts = [k for k, (x, v) in enumerate(plant.seen) if x.tolist() == [0, 0, p, 0] and v[0] == u]
     h, jerk, full = 1e-4, 0.005, 2 * nominal  # full acceleration: of p and of a change by its nominal value
-    lags = (0.005, 0.05, 0.1, 10.0, *(() if speed else (1e3, 1e4)))
+    lags = (0.005, 0.05, 0.1, 10.0, *(() if speed else (1e3, 1e4)))  # longer ones for a joint at rest, too
     for k, lag in zip(starts, lags, strict=True):
         push = side * size / lag / full * h
         wanted = -push * (p - load + (jerk + h) * gain * u) / (1 + push * gain * (jerk + h))

@@ -3,12 +3,11 @@
 import re
 
 import numpy as np
-import pytest
 from kit import mistakes
 from kit.any_fmu.edit import edited
 from kit.steering import IDEAL
 
-from orchestrator import Problem, linearize
+from orchestrator import linearize
 
 
 def test_modes_are_named_by_their_states(fmu_dir):
@@ -74,9 +73,8 @@ def test_a_loop_that_is_cut_and_closed_again_is_the_closed_loop(fmu_dir):
     system = fmu_dir / "harvester_control.ssp"
     point = {"parameters": ["reach"], "set": {"engaged": 1.0, "radial_velocity": -0.3}, "time": 1.0}
     whole = linearize(system, inputs=["radial_velocity"], **point)
-    cut = linearize(
-        system, inputs=["valve_actuation.boom_command"], outputs=["controller.boom_command"], **point
-    )
+    ends = {"inputs": ["valve_actuation.boom_command"], "outputs": ["controller.boom_command"]}
+    cut = linearize(system, **ends, **point)
     assert cut.states == whole.states
     assert cut.b.any()
     assert whole.b.any()
@@ -92,15 +90,10 @@ def test_mistakes_are_told_in_one_line(fmu_dir, options, message):
     assert re.search(message, told), told
 
 
-def test_two_inputs_of_one_joint_are_told(fmu_dir):
-    """Lever and velocity of a controller both have a joint's name: which one holds it has to be said."""
-    expected = r"--steady: .*swing_velocity, swing_lever: use a time of a run instead, with --time"
-    with pytest.raises(Problem, match=expected):
-        linearize(fmu_dir / "harvester_control.ssp", steady=True)
-
-
-def test_an_fmu_for_co_simulation_only_is_told(fmu_dir, tmp_path):
-    """Without model exchange nobody can choose the states."""
+def test_what_other_systems_lack_is_told(fmu_dir, tmp_path):
+    """Lever and velocity of a controller have a joint's name; without model exchange no state is chosen."""
+    told = r"--steady: .*swing_velocity, swing_lever: use a time of a run instead, with --time"
+    mistakes.problem(lambda: linearize(fmu_dir / "harvester_control.ssp", steady=True), told)
     fmu = edited(fmu_dir / "swing.fmu", tmp_path / "swing.fmu", ("<ModelExchange.*?</ModelExchange>", ""))
-    with pytest.raises(Problem, match="expected an FMU for model exchange, got one for co-simulation only"):
-        linearize(fmu)
+    told = "expected an FMU for model exchange, got one for co-simulation only"
+    mistakes.problem(lambda: linearize(fmu), told)

@@ -9,19 +9,9 @@ from kit import shards
 from kit.equations import Part
 from kit.mistakes import refused, table
 
+from fmus.machine import path_following
 from fmus.machine.parts import MACHINES
-from fmus.machine.path_following import (
-    PathRun,
-    differences,
-    draw,
-    points,
-    read_machine,
-    rows,
-    side_view,
-    text,
-    top_view,
-    unwrapped,
-)
+from fmus.machine.path_following import PathRun, differences, points, side_view, text, unwrapped
 from fmus.manipulator import MANIPULATOR
 from fmus.package_files import PACKAGE
 from orchestrator import Trace, load
@@ -29,7 +19,7 @@ from orchestrator.__main__ import main
 
 DETAILED = [f"--swap={part}={variant}" for part, variant in MACHINES["detailed"].items()]
 ALONE = ["--no-compare", "--swap=swing=lumped"]
-NAMES = read_machine(PACKAGE / "controller/tracking.toml")
+NAMES = path_following.read_machine(PACKAGE / "controller/tracking.toml")
 TIME = np.linspace(0, 4, 5)
 TIP = ("tip_radius", "tip_height", "swing_angle")
 
@@ -39,9 +29,8 @@ def made(offset: float, feedback: bool = True, shape=(0, 0, 1, 1, 0.5), **uses: 
     commanded = np.column_stack([np.full(5, 3.0), 0.5 * TIME, np.ones(5)])
     away = np.array(shape)[:, None] * np.array([0.6, 0.0, 0.8]) * offset
     limits = {f"controller.{name}_use": np.array([0, 0, 1, 1, 0.5]) * most for name, most in uses.items()}
-    return PathRun(
-        "made", "thing", feedback, TIME, commanded, commanded + away, uses=limits, limits=NAMES.limits
-    )
+    tip, more = commanded + away, {"uses": limits, "limits": NAMES.limits}
+    return PathRun("made", "thing", feedback, TIME, commanded, tip, **more)
 
 
 def through(*given: str) -> list[str]:
@@ -62,9 +51,7 @@ def test_errors_are_seen_from_the_column_and_at_the_same_instant():
     angle, away = np.linspace(-3, 3, 7), np.array([0.02, -0.01, 0.03])
     out, left = ((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle)))
     commanded = np.column_stack([4 * out[0], 4 * out[1], np.ones(7)])
-    tip = commanded + np.column_stack(
-        [away[0] * out[i] + away[1] * left[i] for i in (0, 1)] + [np.full(7, away[2])]
-    )
+    tip = commanded + np.column_stack([np.array([out, left]).T @ away[:2], np.full(7, away[2])])
     parts = PathRun("", "", True, np.arange(7.0), commanded, tip).components
     assert parts == pytest.approx(np.tile(away, (7, 1)), abs=1e-12)  # rounding of turns there and back
     time = np.linspace(0, 4, 401)
@@ -84,7 +71,7 @@ def test_places_are_those_of_the_manipulator():
 
 def test_table_tells_how_many_times_as_large_without_feedback():
     """The last cell of the row without feedback is its largest error over that of the ride with feedback."""
-    assert [row[-1] for row in rows([made(0.01), made(0.07, False)])] == ["", "7.0"]
+    assert [row[-1] for row in path_following.rows([made(0.01), made(0.07, False)])] == ["", "7.0"]
 
 
 # ---- the command
@@ -259,7 +246,7 @@ BENT = np.array([[3, 1, 2], [3, -1, 2], [5, 0, -1.0]])
 
 def test_views_keep_lengths():
     """From above right and forward; an upright square has its sides, whatever its direction."""
-    assert top_view(BENT) == pytest.approx(np.array([[-1, 1, 0], [3, 3, 5]]))
+    assert path_following.top_view(BENT) == pytest.approx(np.array([[-1, 1, 0], [3, 3, 5]]))
     view, name = side_view(SQUARE, NAMES.radius)
     assert name == "along the ground [m]"
     assert np.ptp(view(SQUARE), axis=1) == pytest.approx([np.sqrt(2), 1.0])  # rounding
@@ -275,7 +262,7 @@ def test_other_paths_are_seen_in_the_plane_of_the_arm(path):
 
 def test_the_picture_has_equal_axes_and_plain_numbers():
     """Both views have one scale, the error's ticks are numbers without exponents."""
-    figure = draw([made(0.3)], NAMES.radius)
+    figure = path_following.draw([made(0.3)], NAMES.radius)
     figure.canvas.draw()
     views, errors = figure.axes[:2], figure.axes[2]
     assert [axes.get_aspect() for axes in views] == [1.0, 1.0]

@@ -98,10 +98,7 @@ def test_a_pump_that_is_too_small_is_told(machine):
 
 @pytest.mark.parametrize("payload", [0.0, 764.0])
 def test_the_pressure_is_that_of_the_load_and_a_margin(machine, payload):
-    """Upwards from a supply of 60 bar: the holding force of a run over the area, and 5 bar for the valve.
-
-    `pressure_use` of the run has it within 6 % in mid-motion: its load is filtered over 0.4 s.
-    """
+    """Upwards from a supply of 60 bar: the holding force of a run over the area, and 5 bar for the valve."""
     first = tuple(float(UP[n][0]) for n in NAMES.path)
     given = {"manipulator.payload_mass": payload} | start_angles("", first, {})
     names = ["controller.pressure_use", "supply.supply_pressure", "manipulator.boom_holding_force"]
@@ -112,7 +109,7 @@ def test_the_pressure_is_that_of_the_load_and_a_margin(machine, payload):
     area = math.pi / 4 * values(CONTROLLER).p["boom_bore"] ** 2
     moved = force / area / 1e5 + 5
     assert need == pytest.approx(moved.max(), abs=0.8)  # no digit behind the point; slow at the very end
-    middle = (trace.time > 2) & (trace.time < 4)
+    middle = (trace.time > 2) & (trace.time < 4)  # the load of `pressure_use` is filtered over 0.4 s: 6 %
     np.testing.assert_allclose((use * supply / 1e5)[middle], moved[middle], rtol=0.06)
 
 
@@ -136,16 +133,14 @@ def test_a_path_that_leaves_the_reach_midway_is_refused(machine, tmp_path, capsy
     rows = "".join(f"{t},{4 + 2.5 * math.sin(math.pi * t / 8):.6f},1,0\n" for t in range(9))
     table.write_text("time,path_radius,path_height,path_angle\n" + rows)
     line = refused(capsys, ["track", machine, "--path", table, "--out", tmp_path])
-    assert re.search(
-        r"machine lumped, path far: at [23]\.\d s \(radius 6\.\d\d m, height 1\.00 m\): out of reach", line
-    )
+    place = r"path far: at [23]\.\d s \(radius 6\.\d\d m, height 1\.00 m\)"
+    assert re.search(rf"machine lumped, {place}: out of reach", line)
 
 
 def test_a_jump_of_the_path_is_too_fast_and_not_out_of_reach(machine):
     """1.8 m in a hundredth of a second: a warning of the speed, and the elbow stays above."""
-    move = replace(UP, signals={**UP.signals, "path_radius": np.where(UP.time < 2, 4.0, 5.8)})
-    move = replace(move, signals={**move.signals, "path_height": np.full(UP.time.size, 0.5)})
-    (line,) = told(machine, move)
+    jump = {"path_radius": np.where(UP.time < 2, 4.0, 5.8), "path_height": np.full(UP.time.size, 0.5)}
+    (line,) = told(machine, replace(UP, signals={**UP.signals, **jump}))
     assert re.search(r"at 2\.\d s .* needs .* the controller allows ", line)
 
 

@@ -15,14 +15,12 @@ from fmus.export.compile import FLAGS, PLATFORMS, host
 from orchestrator.__main__ import main
 from orchestrator.base.errors import Problem
 
+CACHE = "orchestrator.base.compiler.cache_folder"
+# compiles the C library of each, in minutes
+EVERY = pytest.param(tuple(PLATFORMS), marks=shards.platforms)
 
-@pytest.mark.parametrize(
-    "platforms",
-    [
-        (host(), "wasm"),
-        pytest.param(tuple(PLATFORMS), marks=shards.platforms),  # compiles the C library of each, in minutes
-    ],
-)
+
+@pytest.mark.parametrize("platforms", [(host(), "wasm"), EVERY])
 def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch, platforms):
     """The file does not depend on the time, the folder or the order in which the compilers finish."""
     sub, numbers = toys["gain"]
@@ -31,9 +29,7 @@ def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch, pl
         scratch = tmp_path / place / "scratch"
         scratch.mkdir(parents=True)
         monkeypatch.setattr("tempfile.tempdir", str(scratch))
-        monkeypatch.setattr(
-            "orchestrator.base.compiler.cache_folder", lambda place=place: tmp_path / place / "store"
-        )
+        monkeypatch.setattr(CACHE, lambda place=place: tmp_path / place / "store")
         built.append(build(sub, tmp_path / place, values=numbers, platforms=platforms).read_bytes())
         assert not list(scratch.iterdir())  # nothing is left of the compilers' files
     assert built[0] == built[1]
@@ -41,7 +37,7 @@ def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch, pl
 
 def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
     """For equal code, flags and platform the library comes from the cache."""
-    monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "store")
+    monkeypatch.setattr(CACHE, lambda: tmp_path / "store")
     sub, numbers = toys["gain"]
     first = build(sub, tmp_path / "first", values=numbers).read_bytes()
     assert build(sub, tmp_path / "other", values=numbers, step=0.5).read_bytes() != first
@@ -60,7 +56,7 @@ def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
 
 def test_builds_at_once_compile_each_part_once(toys, tmp_path, monkeypatch):
     """Both versions share the equations and the solver; who comes second waits for the file in the cache."""
-    monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "store")
+    monkeypatch.setattr(CACHE, lambda: tmp_path / "store")
     made: list[str] = []
 
     def compiler(command, cwd, **_):
@@ -71,11 +67,10 @@ def test_builds_at_once_compile_each_part_once(toys, tmp_path, monkeypatch):
 
     monkeypatch.setattr("orchestrator.base.compiler.subprocess.run", compiler)
     sub, numbers = toys["gain"]
+    given = {"values": numbers, "platforms": ["x86_64-linux"]}
     with ThreadPoolExecutor(4) as pool:
         for n in range(4):
-            pool.submit(
-                build, sub, tmp_path / str(n), values=numbers, fmi=2 + n % 2, platforms=["x86_64-linux"]
-            )
+            pool.submit(build, sub, tmp_path / str(n), fmi=2 + n % 2, **given)
     shells = [name for name in ("gain.so", "gain_fmi.o") for _ in (2, 3)]
     assert sorted(made) == sorted([*shells, "gain_initial.o", "gain_model.o"])
 
@@ -83,7 +78,7 @@ def test_builds_at_once_compile_each_part_once(toys, tmp_path, monkeypatch):
 def test_store_that_cannot_be_written_to_keeps_nothing(toys, tmp_path, monkeypatch):
     """The build also works if the home folder is read-only."""
     (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "file" / "store")
+    monkeypatch.setattr(CACHE, lambda: tmp_path / "file" / "store")
     sub, numbers = toys["gain"]
     assert build(sub, tmp_path, values=numbers).is_file()
 
@@ -139,13 +134,5 @@ def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versio
     asked = []
     monkeypatch.setattr("fmus.machine.build.build_machine", lambda *arguments: asked.append(arguments) or [])
     assert main(["build", "--out", str(tmp_path), *options]) == 0
-    assert [(folder, fmi, set(names), own) for folder, fmi, names, own, *_ in asked] == [
-        (tmp_path, versions, set(platforms), numbers)
-    ]
-
-
-def test_interrupted_command_says_so(tmp_path, monkeypatch, capsys):
-    """The exit status after an interrupt is 130, with one line of output."""
-    monkeypatch.setattr("fmus.machine.build.build_machine", interrupted)
-    assert main(["build", "--out", str(tmp_path)]) == 130
-    assert capsys.readouterr().err == "harvester: interrupted\n"
+    ((folder, fmi, names, own, *_),) = asked
+    assert (folder, fmi, set(names), own) == (tmp_path, versions, set(platforms), numbers)

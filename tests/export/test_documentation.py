@@ -95,10 +95,7 @@ def test_page_needs_nothing_from_outside(content, page, name):
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_sections_that_the_readme_names_come_along(name):
-    """Each link of the README to a section of another document finds its section.
-
-    Links in the sections of other variants do not count.
-    """
+    """Each link of the README, but for sections of other variants, finds its section in another document."""
     sub = SUBSYSTEMS[name]
     readme = sub.values.parent / "README.md"
     head, *sections = re.split(r"^(?=## )", readme.read_text(encoding="utf-8"), flags=re.MULTILINE)
@@ -158,12 +155,9 @@ def test_page_says_what_to_connect(page, name):
             (port,), direction, ends, rates = cells[0], row.findall("td")[1].text, cells[2], cells[3]
             for end in ends:
                 part, _, other = end.partition(".")
+                rated = () if other else RATED.get(part, set()) & {*rates}
                 found |= {(direction, port, part, other or port)}
-                found |= {
-                    (direction, rate, part, rate)
-                    for rate in rates
-                    if not other and rate in RATED.get(part, ())
-                }
+                found |= {(direction, rate, part, rate) for rate in rated}
     parts = PARTS if name == HARVESTER.name else (sub.component,)
     expected = set()
     for wire in WIRES:
@@ -175,10 +169,14 @@ def test_page_says_what_to_connect(page, name):
     assert found == expected
 
 
+def page_of(sub, values):
+    """The documentation of any subsystem."""
+    return packages(sub, 1e-3, 1.0, values)[2]["documentation/index.html"].decode()
+
+
 def test_page_of_another_model_has_no_table(toys):
     """Only FMUs of the machine have partners; the note on unconnected inputs is on every page."""
-    sub, values = toys["gain"]
-    text = packages(sub, 1e-3, 1.0, values)[2]["documentation/index.html"].decode()
+    text = page_of(*toys["gain"])
     assert 'id="connections"' not in text
     assert "Simulink and OpenModelica set them to 0. Connect constants there: <code>left</code> 1" in text
     assert "harvester-cosim." not in text
@@ -240,8 +238,7 @@ def test_text_of_a_declaration_is_escaped():
     """Characters with a meaning in HTML are escaped."""
     u = Quantity("1", "a < b & c", maximum=5.0)
     odd = stateless("odd", {"u": u}, {"y": u}, lambda _x, u, p: {"y": p.k * u.u}, {"k": u})
-    given = Values({"k": 2.0}, {"u": 1.0}, {})
-    text = packages(odd, 1e-3, 1.0, given)[2]["documentation/index.html"].decode()
+    text = page_of(odd, Values({"k": 2.0}, {"u": 1.0}, {}))
     assert "a &lt; b &amp; c" in text
     assert "a < b" not in text
 

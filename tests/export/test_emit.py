@@ -25,9 +25,8 @@ OPERATIONS = {
     "extremes": lambda a, b: ca.fmin(a, b) - 3 * ca.fmax(a, 0.5) + ca.copysign(a, b) + ca.hypot(a, b),
     "branch": lambda a, b: ca.if_else(a > b, a, -b) + ca.if_else(ca.logic_and(a >= 0, b < 1), 1.5, a * b),
     "logic": lambda a, b: ca.if_else(ca.logic_or(a == b, ca.logic_not(a != 0)), 2 * a, -a),
-    "clipped": lambda a, b: (
-        ca.exp(ca.fmax(a, -0.3)) + ca.exp(ca.fmax(-0.3, b))
-    ),  # at, above and below the bound
+    # at, above and below the bound
+    "clipped": lambda a, b: ca.exp(ca.fmax(a, -0.3)) + ca.exp(ca.fmax(-0.3, b)),
     "constant": lambda a, b: ca.SX(-3.25e-7) + 0 * a + 0 * b,
 }
 
@@ -52,9 +51,8 @@ def test_compiled_operations_equal_casadi(operations, a, b):
     symbols = ca.SX.sym("a"), ca.SX.sym("b")
     function = ca.Function("f", symbols, [f(*symbols) * ca.cos(0.3) for f in OPERATIONS.values()])
     expected = [float(value) for value in function(a, b)]
-    result = fmpy.simulate_fmu(
-        str(operations), stop_time=0.01, start_values={"a": a, "b": b}, output=list(OPERATIONS)
-    )
+    given = {"start_values": {"a": a, "b": b}, "output": list(OPERATIONS)}
+    result = fmpy.simulate_fmu(str(operations), stop_time=0.01, **given)
     # same operations, another mathematics library: a few rounding errors
     np.testing.assert_allclose([result[name][-1] for name in OPERATIONS], expected, rtol=1e-14, atol=1e-15)
 

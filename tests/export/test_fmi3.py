@@ -37,20 +37,15 @@ def watching(act: Callable[[float], float | None]) -> Callable[..., None]:
 def test_values_inside_a_step_lie_on_the_solution(open_fmu):
     """Outputs that are read between inner steps have the values of that time."""
     seen: list[tuple[float, float, float]] = []
-    fmu = open_fmu(
-        "decay",
-        fmi=3,
-        intermediateUpdate=watching(lambda t: seen.append((t, *fmu.get("level", "time")))),
-        earlyReturnAllowed=False,
-    ).start()
+    see = watching(lambda t: seen.append((t, *fmu.get("level", "time"))))
+    fmu = open_fmu("decay", fmi=3, intermediateUpdate=see, earlyReturnAllowed=False).start()
     step(fmu, 0.0, 2.0)
-    times = [t for t, _, _ in seen]
+    times, levels, own = map(list, zip(*seen, strict=True))
     assert len(times) > 5
-    assert times == sorted(times)
+    assert times == own == sorted(times)
     assert times[-1] == 2.0
-    assert all(t == own for t, _, own in seen)
     # the solver's tolerance 1e-6 per step, over a handful of steps
-    np.testing.assert_allclose([level for _, level, _ in seen], np.exp(-2.0 * np.array(times)), atol=1e-5)
+    np.testing.assert_allclose(levels, np.exp(-2.0 * np.array(times)), atol=1e-5)
 
 
 def test_inputs_set_inside_a_step_hold_from_there_on(open_fmu):
@@ -85,24 +80,20 @@ def test_untouched_inputs_move_on_inside_a_step(open_fmu):
 
 def test_step_ends_early_where_the_caller_wants(open_fmu):
     """An early return ends at the requested time, and the simulation continues on the same solution."""
-    stops = iter((0.3, 0.5))
-    waiting = [next(stops)]
+    waiting = [0.3]
 
     def act(time: float) -> float | None:
         return max(time, waiting[0]) if time < waiting[0] + 0.2 else None
 
     fmu = open_fmu("decay", fmi=3, intermediateUpdate=watching(act), earlyReturnAllowed=True).start()
     early, reached = step(fmu, 0.0, 1.0)
-    assert early
-    assert reached == pytest.approx(0.3, abs=1e-15)
+    assert (early, reached) == (True, pytest.approx(0.3, abs=1e-15))
     assert fmu["time"] == reached
     waiting[0] = 0.5
     early, again = step(fmu, reached, 0.7)
-    assert early
-    assert again == pytest.approx(0.5, abs=1e-15)
+    assert (early, again) == (True, pytest.approx(0.5, abs=1e-15))
     waiting[0] = -1.0
-    early, end = step(fmu, again, 0.5)
-    assert (early, end) == (False, 1.0)
+    assert step(fmu, again, 0.5) == (False, 1.0)
     assert fmu["level"] == pytest.approx(math.exp(-2.0), abs=1e-5)  # tolerance of the solver
 
 
@@ -184,10 +175,8 @@ def test_scheduled_execution_is_refused_with_a_reason(open_fmu):
     fmu = open_fmu("gain", fmi=3)
     function = fmu.fmu.dll.fmi3InstantiateScheduledExecution
     function.argtypes, function.restype = None, ctypes.c_void_p
-    made = function(
-        b"a", fmu.fmu.guid.encode(), b"", False, False, None, fmu.fmu.logMessage, None, None, None
-    )
-    assert made is None
+    given = (b"a", fmu.fmu.guid.encode(), b"", False, False, None, fmu.fmu.logMessage, None, None, None)
+    assert function(*given) is None
     assert "scheduled execution" in fmu.errors()[-1]
 
 

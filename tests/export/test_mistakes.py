@@ -26,11 +26,8 @@ def test_wrong_guid_gives_no_instance(open_fmu):
 )
 def test_call_in_a_wrong_state_names_function_and_state(open_fmu, call, function, started):
     """Before its time or after it a function is refused."""
-    fmu = open_fmu("decay")
-    state = "instantiated"
-    if started:
-        fmu.start()
-        state = "step complete"
+    fmu = open_fmu("decay").start() if started else open_fmu("decay")
+    state = "step complete" if started else "instantiated"
     fmu.refuses(lambda: call(fmu), f"fmi2{function}: not allowed", state)
 
 
@@ -64,14 +61,8 @@ def test_fixed_parameter_is_refused_while_running_and_tunable_is_not(open_fmu):
     assert fmu["level"] == before
 
 
-def test_calculated_start_value_is_refused(open_fmu):
-    """A state that the model calculates cannot be set."""
-    fmu = open_fmu("chamber")
-    fmu.refuses(lambda: fmu.set(pressure=1e5), "pressure", "calculated")
-
-
 def test_start_values_act_before_and_in_initialisation(open_fmu):
-    """States and inputs set early determine the initial states and the outputs in initialisation mode."""
+    """States and inputs set early determine initial states and outputs; a calculated state cannot be set."""
     fmu = open_fmu("decay")
     fmu.set(level=4.0)
     fmu.enter()
@@ -80,6 +71,7 @@ def test_start_values_act_before_and_in_initialisation(open_fmu):
     fmu.set(level=2.0, gain=2.0)
     assert fmu.get("mixed", "der_level").tolist() == [5.0, -2.0]
     chamber = open_fmu("chamber")
+    chamber.refuses(lambda: chamber.set(pressure=1e5), "pressure", "calculated")
     chamber.enter()
     for supply in (1e7, 2e7):
         chamber.set(supply=supply)
@@ -143,10 +135,9 @@ def test_a_value_below_its_lowest_is_a_warning(open_fmu):
     for k, target in enumerate((-60.0, -70.0, -70.0, 0.0, -80.0)):
         fmu.set(target=target)
         fmu.fmu.doStep(float(k), 1.0)
-    said = [w for w in fmu.logged("logStatusWarning") if "level" in w]
-    assert [w.partition(": ")[2] for w in said] == [
-        f"level = {value} 1 at t = {time} s is below -60 1: it is dry" for value, time in ((-70, 2), (-80, 5))
-    ]
+    said = [w.partition(": ")[2] for w in fmu.logged("logStatusWarning") if "level" in w]
+    told = "level = {} 1 at t = {} s is below -60 1: it is dry"
+    assert said == [told.format(*at) for at in ((-70, 2), (-80, 5))]
 
 
 def test_a_repeated_warning_is_logged_three_times(open_fmu):
@@ -161,15 +152,12 @@ def test_a_repeated_warning_is_logged_three_times(open_fmu):
 
 @table(__file__, "held", "positions, velocity, named")
 def test_held_inputs_are_named_once_with_the_first_warning(open_fmu, positions, velocity, named):
-    """An input that moves in each step while its rate input stays 0 may be the cause; a jump is none.
-
-    A debug log has it, too, once.
-    """
+    """An input that moves in each step while its rate input stays 0 may be the cause; a jump is none."""
     fmu = open_fmu("path", loggingOn=True).start()
     for k, position in enumerate(positions):
         fmu.set(position=position, velocity=velocity)
         fmu.fmu.doStep(float(k), 1.0)
-    assert sum("stayed 0" in event for event in fmu.logged("logEvents")) == named
+    assert sum("stayed 0" in event for event in fmu.logged("logEvents")) == named  # once
     told, *others = fmu.logged("logStatusWarning") if named else ("", *fmu.logged("logStatusWarning"))
     assert ["where = 9" in warning for warning in others] == [True]
     if named:
@@ -191,11 +179,9 @@ def test_a_rate_that_the_input_does_not_follow_is_named_once(open_fmu, position,
     for k in range(150):
         fmu.set(position=position(k), velocity=velocity(k), acceleration=1e-3)
         fmu.fmu.doStep(0.08 * k, 0.08)
-    words = (
-        "position did not move in the last 100 steps as its rate input velocity says, which is held over a"
-    )
-    told = [w.partition(": ")[2] for w in fmu.logged("logStatusWarning")]
-    assert told == [f"{words} step: leave that open, or take steps of at most {step} s"] * bool(step)
+    words = "position did not move in the last 100 steps as its rate input velocity says, which is held over "
+    words += f"a step: leave that open, or take steps of at most {step} s"
+    assert [w.partition(": ")[2] for w in fmu.logged("logStatusWarning")] == [words] * bool(step)
 
 
 def test_log_categories_are_filtered(open_fmu):

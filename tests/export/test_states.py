@@ -81,15 +81,8 @@ def test_reset_starts_again(open_fmu):
 
 def test_instances_do_not_know_each_other(open_fmu):
     """Interleaved instances with other parameters give what each gives alone."""
-    alone = []
-    for rate in (1.0, 2.0, 3.0):
-        fmu = open_fmu("decay")
-        fmu.set(rate=rate)
-        alone.append(fmu.start().step(0.1, 10)["level"])
-    together = [open_fmu("decay") for _ in alone]
-    for fmu, rate in zip(together, (1.0, 2.0, 3.0), strict=True):
-        fmu.set(rate=rate)
-        fmu.start()
+    alone = [open_fmu("decay").start(rate=rate).step(0.1, 10)["level"] for rate in (1.0, 2.0, 3.0)]
+    together = [open_fmu("decay").start(rate=rate) for rate in (1.0, 2.0, 3.0)]
     for k in range(10):
         for fmu in together:
             fmu.fmu.doStep(k * 0.1, 0.1)

@@ -15,10 +15,8 @@ from fmus.manipulator import MANIPULATOR
 def test_a_notch_opens_a_half_circle_and_then_a_slot():
     """Of a unit circle; a depth of half the radius leaves a segment of 120 degrees."""
     areas = blind.segment(np.array([-1.0, 0.5, 1.0, 3.0]), 1.0)
-    # exact identities, rounding only
-    assert areas == pytest.approx(
-        [0, math.pi / 3 - math.sqrt(3) / 4, math.pi / 2, math.pi / 2 + 4], abs=1e-12
-    )
+    expected = [0, math.pi / 3 - math.sqrt(3) / 4, math.pi / 2, math.pi / 2 + 4]
+    assert areas == pytest.approx(expected, abs=1e-12)  # exact identities, rounding only
 
 
 def test_an_edge_passes_the_flow_of_two_turbulent_resistances_in_series():
@@ -47,9 +45,8 @@ def test_the_swing_comes_to_the_speed_at_which_friction_balances_the_torque():
     inertia, damping, step = 5e3, 2e3, 0.01
     nodes = blind.LINE * (2 / blind.INNER + 1 / blind.OUTER) + 1
     total = damping + 2 * blind.DISPLACEMENT**2 * blind.LINE / nodes
-    speed = blind.swing_motion(
-        np.full(500, 10 * BAR), step, inertia, damping, 0.0, (blind.INNER, blind.OUTER)
-    )
+    drop, lines = np.full(500, 10 * BAR), (blind.INNER, blind.OUTER)
+    speed = blind.swing_motion(drop, step, inertia, damping, 0.0, lines)
     time = step * np.arange(500)
     expected = blind.DISPLACEMENT * 10 * BAR / nodes / total * (1 - np.exp(-time * total / inertia))
     # error of RK4: (step/T)^4/120 with T = 2.5 s, of 0.7 rad/s

@@ -18,7 +18,6 @@ from kit.mistakes import problem, table
 from fmus.contract import quantities, symbolic
 from fmus.identification.recordings.reading import read_series
 from fmus.parameters import values
-from orchestrator.base.errors import Problem
 
 matplotlib.use("Agg")  # no window
 
@@ -180,7 +179,7 @@ def test_unitless_mistakes():
     def rates(x, u, _):
         return {"x": u.u - x.x}
 
-    with pytest.raises(Problem, match="lag: time: expected an initial value above 0, got -2"):
-        dimensionless("lag", {"time": -2.0}, ["u"], ["x"], rates)
+    told = "lag: time: expected an initial value above 0, got -2"
+    problem(lambda: dimensionless("lag", {"time": -2.0}, ["u"], ["x"], rates), told)
     model = dimensionless("lag", {"time": 2.0}, ["u"], ["x", "z"], rates)
     problem(lambda: symbolic(model), "lag: rates: expected x, z, got x")

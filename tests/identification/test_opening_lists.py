@@ -50,10 +50,7 @@ def _write(path: Path, recording) -> None:
 
 
 def test_file_and_report_have_lists_with_their_bands(identified):
-    """Commands and openings of all four edges; exit status 0, because nothing is doubtful.
-
-    Each point has both ends of its interval in the JSON file, and the page draws them.
-    """
+    """All four edges, with both ends of the intervals in the JSON file, drawn on the page; exit status 0."""
     status, out = identified
     assert status == 0
     tables = tomllib.loads(out.read_text(encoding="utf-8"))["parameters"]

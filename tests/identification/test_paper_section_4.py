@@ -39,19 +39,21 @@ def test_intervals_of_a_line_and_of_means_are_those_of_independent_samples():
         line = as_printed.line("B", 9, [(x, 2 * x + one) for one in noise], "1", ("x", "y"))
         means = as_printed.mean_of_means("I", [2 + one for one in noise], "1")
         z.append([(e.value - 2) / e.sd for e in (line.by_samples, means.by_samples)])
-        # Student's t of four groups
-        assert means.by_groups.high - means.by_groups.value == pytest.approx(
-            3.182 * means.by_groups.sd, rel=1e-3
-        )
+        half = means.by_groups.high - means.by_groups.value
+        assert half == pytest.approx(3.182 * means.by_groups.sd, rel=1e-3)  # Student's t of four groups
     # mean square of 200 normal numbers, four standard deviations
     np.testing.assert_allclose(np.mean(np.square(z), axis=0), 1.0, atol=4 * np.sqrt(2 / 200))
 
 
+def perfect_stick():
+    """The stick in motion, by perfect instruments, the tank's among them."""
+    read = recording("stick")
+    return add(read, "swing.tank_pressure", np.zeros(read.time.size), "Pa")
+
+
 def test_13_is_attenuated_by_a_coarse_encoder_and_corrected():
     """Pairs of opposite noise: (13) loses what noise in the speed adds to x'^T x'; corrected it does not."""
-    sd, angle = 2e-3, "manipulator.stick_angle"  # rad
-    perfect = recording("stick")
-    perfect = add(perfect, "swing.tank_pressure", np.zeros(perfect.time.size), "Pa")
+    sd, angle, perfect = 2e-3, "manipulator.stick_angle", perfect_stick()  # rad
     described = replace(perfect, sensors={angle: Sensor("coarse", sd)})
     random, found = np.random.default_rng(5), []
     for _ in range(8):
@@ -68,9 +70,7 @@ def test_13_is_attenuated_by_a_coarse_encoder_and_corrected():
 
 def test_13_without_noise_gives_the_damping():
     """Perfect instruments: 0.5 %, the error of the derivatives at the corners of the motion."""
-    perfect = recording("stick")
-    perfect = add(perfect, "swing.tank_pressure", np.zeros(perfect.time.size), "Pa")
-    plain = as_printed.damping("stick", [perfect], KNOWN).by_samples.value
+    plain = as_printed.damping("stick", [perfect_stick()], KNOWN).by_samples.value
     assert plain == pytest.approx(KNOWN["manipulator.stick_piston_damping"].value, rel=5e-3)
 
 

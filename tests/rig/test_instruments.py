@@ -24,10 +24,7 @@ def readings(instrument: SignalDescription, value: float, count: int = COUNT, se
 
 @pytest.mark.parametrize("instrument", NOISY, ids=lambda i: i.sensor)
 def test_noise_is_white_and_has_the_told_size_and_no_bias(instrument):
-    """Mean and standard deviation are those of the truth with white noise and the converter's step.
-
-    Adjacent samples are uncorrelated, because there is no filter.
-    """
+    """Mean and standard deviation are those of the truth with white noise and the converter's step."""
     value = 0.37 * instrument.span[1]  # between two steps, far from ends and dead zone
     error = readings(instrument, value) - value
     sd = math.hypot(instrument.noise, instrument.resolution / math.sqrt(12))
@@ -36,7 +33,7 @@ def test_noise_is_white_and_has_the_told_size_and_no_bias(instrument):
     # the standard error of a standard deviation is 1/sqrt(2 n), 0.16 %; the step's part is right to 1 %
     assert error.std() == pytest.approx(sd, rel=5 / math.sqrt(2 * COUNT) + 0.01)
 
-    error = error - error.mean()
+    error = error - error.mean()  # of which adjacent samples are uncorrelated, because there is no filter
     for lag in (1, 2, 10):
         correlation = error[lag:] @ error[:-lag] / (error @ error)
         assert abs(correlation) < 5 / math.sqrt(COUNT)  # five standard errors

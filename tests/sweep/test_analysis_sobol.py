@@ -11,7 +11,7 @@ from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, ishigam
 from orchestrator.studies import design
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.morris_sobol import RESAMPLES, intervals
-from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, IntervalEstimate
+from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, IntervalEstimate
 from orchestrator.studies.study import Choice, Factor
 
 LINEAR = {"x1": 4.0, "x2": -2.0, "x3": 1.0, "x4": 0.0}
@@ -63,10 +63,11 @@ def test_ishigami_has_its_closed_form_indices() -> None:
 def test_a_choice_takes_its_part_of_the_variance() -> None:
     """An option that adds a constant d moves Var = d^2 / 4; the factors share the rest as without it."""
     step = 4e5
-    found = results(
-        lambda x: ishigami(x) + step * (x["swing"] == "detailed"), ISHIGAMI, "saltelli", 512, [TWO]
-    )
-    found = effects(finding(found))
+
+    def stepped(x):
+        return ishigami(x) + step * (x["swing"] == "detailed")
+
+    found = effects(finding(results(stepped, ISHIGAMI, "saltelli", 512, [TWO])))
     own = 13.8446e10  # variance of the Ishigami function, in Pa^2
     part = own / (own + step**2 / 4)
     for key in (FIRST, TOTAL):
@@ -78,13 +79,11 @@ def test_a_choice_takes_its_part_of_the_variance() -> None:
 
 def test_a_choice_that_is_drawn_is_a_factor_like_others() -> None:
     """Sampled or crossed, a choice has the same share."""
-    drawn = Choice("swing", TWO.options, sampled=True)
-    shares = []
-    for choice in (TWO, drawn):
-        found = results(lambda x: x["x1"] + (x["swing"] == "detailed"), UNIT[:1], "saltelli", 512, [choice])
-        shares.append(effects(finding(found))["swing"].estimates[TOTAL])
     truth = 0.25 / (0.25 + 1 / 12)  # variances of a fair coin and of a uniform number
-    assert all(abs(share.value - truth) < 0.05 for share in shares)  # 3 sd of 512 base samples
+    for choice in (TWO, replace(TWO, sampled=True)):
+        found = results(lambda x: x["x1"] + (x["swing"] == "detailed"), UNIT[:1], "saltelli", 512, [choice])
+        share = effects(finding(found))["swing"].estimates[TOTAL]
+        assert share.value == pytest.approx(truth, abs=0.05)  # 3 sd of 512 base samples
 
 
 def test_a_factor_without_effect_has_none() -> None:
@@ -111,21 +110,16 @@ def test_lost_base_samples_leave_the_indices_true() -> None:
 @pytest.mark.parametrize("crossed", [(), (TWO,)])
 def test_morris_gives_the_coefficients_of_a_linear_function(crossed: tuple[Choice, ...]) -> None:
     """mu* is the weight times the range, sigma is zero, mu has the sign, a crossed choice its difference."""
-    found = results(
-        lambda x: linear(x) + 3.0 * (x["swing"] == "detailed" if crossed else 0.0), UNIT, "morris", 6, crossed
-    )
-    found = effects(finding(found))
-    for name, weight in LINEAR.items():
-        _is(found[name], abs(weight))
-        assert found[name].more["mu"] == pytest.approx(weight, abs=1e-12)
-    if crossed:
-        _is(found["swing"], 3.0)
 
+    def function(x):
+        return linear(x) + 3.0 * (x["swing"] == "detailed" if crossed else 0.0)
 
-def _is(effect: Effect, star: float) -> None:
-    # exact identity: rounding of differences of numbers near 10
-    assert effect.estimates[MU_STAR].value == pytest.approx(star, abs=1e-12)
-    assert effect.more["sigma"] == pytest.approx(0.0, abs=1e-12)
+    found = effects(finding(results(function, UNIT, "morris", 6, crossed)))
+    for name, weight in (LINEAR | ({"swing": 3.0} if crossed else {})).items():
+        star, more = found[name].estimates[MU_STAR].value, found[name].more
+        # exact identity: rounding of differences of numbers near 10
+        assert [star, more["sigma"]] == pytest.approx([abs(weight), 0.0], abs=1e-12)
+        assert name == "swing" or more["mu"] == pytest.approx(weight, abs=1e-12)
 
 
 def test_a_grid_has_its_analysis_of_variance() -> None:

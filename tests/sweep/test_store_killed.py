@@ -87,10 +87,8 @@ def test_an_interrupt_keeps_what_is_finished(long):
     status, _, told, wrong = stopped(file, out, interrupt)
     assert (status, told) == (130, ""), wrong
     *progress, last = wrong.splitlines()
-    assert last == (
-        f"harvester: interrupted; {len(kept(out))} of {RUNS} runs are stored in {out};"
-        " the same command continues the study"
-    )
+    told = f"{len(kept(out))} of {RUNS} runs are stored in {out}"
+    assert last == f"harvester: interrupted; {told}; the same command continues the study"
     assert all(f" of {RUNS} runs, " in line for line in progress)
     run(file, "interrupted")
     assert content(out) == undisturbed

@@ -23,23 +23,18 @@ def offset(fmus, tmp_path):
     return text, study(tmp_path, text, fmus["gain"])
 
 
+def of_gain(system, fixed, **units: str) -> Study:
+    """The study of the file in Python."""
+    factors = (Factor("gain.factor", "uniform", {"minimum": 1, "maximum": 3}),)
+    outputs = (Output("end", "gain.y", "final", band=True, **units),)
+    space = {"factors": factors, "outputs": outputs, "fixed": fixed}
+    return Study("A gain", str(system), runs=12, seed=3, stop=0.2, step=0.01, **space)
+
+
 def test_a_file_is_understood(file):
     """Every key has its place; reading it again gives the same study, and so does study.json."""
     found = resolved(file)
-    assert found == Study(
-        title="A gain",
-        system="gain.fmu",
-        method="latin",
-        runs=12,
-        seed=3,
-        stop=0.2,
-        step=0.01,
-        master=None,
-        factors=(Factor("gain.factor", "uniform", {"minimum": 1.0, "maximum": 3.0}),),
-        choices=(),
-        outputs=(Output("end", "gain.y", "final", band=True, unit="m", signal_unit="m"),),
-        fixed={"gain.u": 2.0},
-    )
+    assert found == of_gain("gain.fmu", {"gain.u": 2.0}, unit="m", signal_unit="m")
     assert resolved(file) == found
     assert store.from_json(store.to_json(found), found.title) == found
 
@@ -89,12 +84,15 @@ def test_mistakes_are_told_in_one_line(file, old, new, expected):
 
 
 def test_a_study_needs_something_to_vary_and_to_keep(file):
-    """Without factors and choices, or without outputs, there is no study; one option alone varies nothing."""
+    """Factors or choices, but not of one option alone; outputs; nothing varied that a scenario drives."""
     expected = "expected factors, or choices of two options and more, got neither"
     for instead in ("", '[choices]\ngain = "gain.fmu"\n'):
         assert refused(file, GAIN.replace(FACTOR, instead)) == expected
     expected = "outputs: expected at least one, got none"
     assert refused(file, GAIN[: GAIN.index("[outputs")]) == expected
+    (file.parent / "up.csv").write_text(UP)
+    expected = "choices: up.csv: the scenario drives gain.u, so this input cannot be fixed or a factor"
+    assert refused(file, GAIN + '[choices]\nscenario = "up.csv"\n') == expected
 
 
 def test_whole_numbers_stay_whole(fmus, tmp_path):
@@ -102,13 +100,6 @@ def test_whole_numbers_stay_whole(fmus, tmp_path):
     file = study(tmp_path, FAILS, fmus["fails"])
     expected = "values: expected whole numbers, as fails.how is not a Real variable"
     assert expected in refused(file, FAILS.replace("[0, 3,", "[0.5, 3,"))
-
-
-def test_what_a_scenario_drives_cannot_be_varied(file):
-    """It would have no effect."""
-    (file.parent / "up.csv").write_text(UP)
-    expected = "choices: up.csv: the scenario drives gain.u, so this input cannot be fixed or a factor"
-    assert refused(file, GAIN + '[choices]\nscenario = "up.csv"\n') == expected
 
 
 def test_a_name_that_a_variant_lacks_costs_no_search(offset, monkeypatch):
@@ -153,17 +144,7 @@ def test_what_the_refusal_advises_is_accepted(fmu_dir, tmp_path):
 @pytest.fixture
 def in_python(gain) -> Study:
     """The study of the gain in Python."""
-    return Study(
-        "A gain",
-        str(gain),
-        runs=12,
-        seed=3,
-        stop=0.2,
-        step=0.01,
-        factors=(Factor("gain.factor", "uniform", {"minimum": 1, "maximum": 3}),),
-        outputs=(Output("end", "gain.y", "final", band=True),),
-        fixed={"gain.u": (200, "cm")},
-    )
+    return of_gain(gain, {"gain.u": (200, "cm")})
 
 
 def test_python_and_file_give_the_same_results(in_python, gain, tmp_path):

@@ -16,8 +16,6 @@ from orchestrator.studies.parameter_study import StudyProgress, summary
 from orchestrator.studies.single_run import RunOutcome
 
 RATE = r"[0-9.]+ runs/s, \d+ s left"
-
-
 _failed = partial(results, ishigami, ISHIGAMI, "latin", 40)
 
 

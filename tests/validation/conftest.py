@@ -12,6 +12,8 @@ from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.validation import Validation, validate
 
+Edit = Callable[[str, str], Path]  # the fixture `edited`
+
 
 @pytest.fixture(scope="session")
 def trace() -> Trace:
@@ -49,7 +51,7 @@ def outcome(written: Path, trace: Trace) -> Validation:
 
 
 @pytest.fixture
-def edited(folder: Path) -> Callable[[str, str], Path]:
+def edited(folder: Path) -> Edit:
     """Replace text in ref.toml or, if it is not there, in ref.csv; returns the TOML's path."""
 
     def edit(old: str, new: str) -> Path:

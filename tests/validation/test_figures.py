@@ -1,14 +1,12 @@
 """Figures: nothing lost by decimation, everything drawn that was asked for."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.mistakes import problem
 from matplotlib.figure import Figure
+from validation.conftest import Edit
 
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
@@ -19,25 +17,14 @@ from orchestrator.results.validation import Validation, validate
 from orchestrator.results.validation_report import draw
 
 ANGLE = FigureSpec("Angle", (PanelSpec("Angle", ("shaft.angle",)),))
-SPEC = FigureSpec(
-    "Shaft",
-    (
-        PanelSpec("Command", ("pump.command",)),
-        ANGLE.panels[0],
-        PanelSpec("Pressure", ("pump.pressure",), ("head",)),
-    ),
-)
-
-
+COMMAND = PanelSpec("Command", ("pump.command",))
+SPEC = FigureSpec("Shaft", (COMMAND, *ANGLE.panels, PanelSpec("Pressure", ("pump.pressure",), ("head",))))
 SAMPLES = st.floats(-1e6, 1e6) | st.just(np.nan)
 
 
 @given(values=st.lists(SAMPLES, min_size=1, max_size=300), buckets=st.integers(1, 40))
 def test_decimation_keeps_the_extremes_and_the_ends(values: list[float], buckets: int) -> None:
-    """Largest, smallest, first and last sample survive, in order, within the promised number of points.
-
-    Gaps do not hide them.
-    """
+    """Largest, smallest, first and last sample survive in order, also beside gaps, in the promised number."""
     y = np.array(values)
     t = np.arange(len(y), dtype=float)
     kept_t, kept_y = decimate(t, y, buckets)
@@ -57,14 +44,16 @@ def figure(outcome: Validation, trace: Trace) -> Figure:
 
 
 def test_panels_and_error_strips(figure: Figure) -> None:
-    """A compared signal gets a panel and an error strip in display units, a command its panel only."""
+    """A compared signal gets a panel and an error strip in display units, a command its panel only.
+
+    The PNG of the figure for a README is one.
+    """
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels == ["Command\n[V]", "Angle\n[deg]", "error\n[deg]", "Pressure\n[bar]", "error\n[bar]"]
+    assert png(figure, dpi=40).startswith(b"\x89PNG")
 
 
-def test_signals_that_are_not_judged_have_no_error_strip(
-    edited: Callable[[str, str], Path], trace: Trace
-) -> None:
+def test_signals_that_are_not_judged_have_no_error_strip(edited: Edit, trace: Trace) -> None:
     """Unless the reference states no limits at all: then the errors are what there is to see."""
 
     def strips(old: str, new: str) -> int:
@@ -98,31 +87,18 @@ def test_unknown_signal_is_refused(outcome: Validation, trace: Trace) -> None:
     assert expected in problem(lambda: draw(spec, outcome, trace))
 
 
-def test_same_figure_same_bytes(outcome: Validation, trace: Trace) -> None:
-    """A figure drawn twice gives the same SVG, so a report changes only when its numbers do."""
-    assert svg(draw(ANGLE, outcome, trace)) == svg(draw(ANGLE, outcome, trace))
+def test_an_embedded_figure_is_reproducible_and_follows_the_page(outcome, trace, monkeypatch) -> None:
+    """Drawn twice it is the same SVG, so that a report changes only when its numbers do.
 
-
-def test_embedded_svg_follows_the_page(outcome: Validation, trace: Trace) -> None:
-    """The inline SVG has colours by variable, ids of its own, text as text and untouched numbers in it."""
-    text = str(plotting.embed(draw(ANGLE, outcome, trace), "f7-", "Shaft"))
+    Inline it has colours by variable, ids of its own and text as text; with too many points it is a picture.
+    """
+    one, other = (draw(ANGLE, outcome, trace) for _ in range(2))
+    assert svg(one) == svg(other)
+    text = str(plotting.embed(one, "f7-", "Shaft"))
     assert text.startswith("<svg")
     assert "http" not in text
-    assert "var(--fig-dark0, #06406b)" in text
-    assert 'id="f7-' in text
-    assert "url(#f7-" in text
-    assert ">Angle<" in text
-
-
-def test_too_large_an_svg_becomes_a_png(
-    outcome: Validation, trace: Trace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A figure with too many points is embedded as picture, so that the report stays small."""
+    inside = ("var(--fig-dark0, #06406b)", 'id="f7-', "url(#f7-", ">Angle<")
+    assert [words for words in inside if words not in text] == []
     monkeypatch.setattr(plotting, "SVG_LIMIT", 10)
-    text = str(plotting.embed(draw(ANGLE, outcome, trace), "f-", 'A "title"'))
+    text = str(plotting.embed(other, "f-", 'A "title"'))
     assert text.startswith('<img class="paper" alt="A &#34;title&#34;" src="data:image/png;base64,iVBOR')
-
-
-def test_png(figure: Figure) -> None:
-    """The PNG for a README is one."""
-    assert png(figure, dpi=40).startswith(b"\x89PNG")

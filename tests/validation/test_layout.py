@@ -28,15 +28,11 @@ def test_all_that_a_layout_holds(tmp_path: Path, trace: Trace) -> None:
     layout.check(trace)
 
 
-def test_nothing_is_needed(tmp_path: Path, trace: Trace) -> None:
-    """An empty file is a layout."""
+def test_an_empty_file_and_the_projects_own_are_layouts(tmp_path: Path, trace: Trace) -> None:
+    """Nothing is needed; the project has one figure per actuator with five rows."""
     layout = read_layout(written(tmp_path, ""))
     assert layout == Layout(source=layout.source)
     layout.check(trace)
-
-
-def test_the_projects_own_layout_can_be_read() -> None:
-    """One figure per actuator with five rows."""
     layout = read_layout(data("reference/work_cycle.layout.toml"))
     assert [len(figure.panels) for figure in layout.figures] == [5, 5, 5]
 
@@ -51,9 +47,7 @@ def test_what_a_run_lacks_can_be_left_out(tmp_path: Path, trace: Trace) -> None:
 
 
 @table(__file__, "lacking", "old, new, expected")
-def test_a_signal_that_the_run_lacks_is_named(
-    tmp_path: Path, trace: Trace, old: str, new: str, expected: str
-) -> None:
+def test_a_signal_that_the_run_lacks_is_named(tmp_path, trace, old: str, new: str, expected: str) -> None:
     """With the file, the place and what it could be."""
     path = written(tmp_path, LAYOUT.replace(old, new, 1))
     assert f"l.toml: {expected}" in problem(lambda: read_layout(path).check(trace))

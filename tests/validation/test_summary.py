@@ -1,6 +1,5 @@
 """The outcome in the terminal."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 from kit.mistakes import table
 from rich.console import Console
+from validation.conftest import Edit
 
 from orchestrator.base.text import number
 from orchestrator.data.description import Tolerance
@@ -59,9 +59,7 @@ def test_a_line_per_signal_below_its_group_and_limit(outcome: Validation) -> Non
     assert lines[-1] == "pass: 2 of 2 signals within their limits"
 
 
-def test_a_failed_run_says_first_what_missed_and_by_how_much(
-    edited: Callable[[str, str], Path], trace: Trace
-) -> None:
+def test_a_failed_run_says_first_what_missed_and_by_how_much(edited: Edit, trace: Trace) -> None:
     """Signal, value, limit and their ratio come first; the row is marked without colour too."""
     edited("limit = 0.01", "limit = 1e-20")
     lines = shown(validate(trace, read_recording(edited("limit = 2.0", "limit = 0.4")), rate=False))
@@ -89,12 +87,6 @@ def test_signals_that_are_not_judged_come_last() -> None:
     assert line(lines, "  x")[-1] == "-"
 
 
-def test_a_name_keeps_its_component_where_it_needs_it() -> None:
-    """Two signals of one name in two components are written with their components."""
-    lines = shown(made(left__x=None, right__x=None, right__y=None))
-    assert [text.split()[0] for text in lines if text.startswith("  ")][1:] == ["left.x", "right.x", "y"]
-
-
 def test_fits_a_terminal_of_80_columns(outcome: Validation) -> None:
     """No line is longer than 80 characters, also with hopeless numbers and long names."""
     row = outcome.rows[0]
@@ -107,19 +99,18 @@ def test_fits_a_terminal_of_80_columns(outcome: Validation) -> None:
     assert lines[at + 1].split() == ["7.07e+10", "7.07e-08", "1.23e-07", "<-999", "<-999", "-", "pass"]
 
 
-def test_a_note_on_many_signals_is_told_once() -> None:
-    """With the names of the signals that it is about."""
-    validation = made(a__x=None, a__y=None)
-    noted = replace(validation, rows=tuple(replace(row, notes=("is odd",)) for row in validation.rows))
-    assert "is odd: a.x, a.y" in shown(noted)
+def test_names_keep_their_component_where_they_need_it_and_share_a_note() -> None:
+    """Two signals of one name in two components; a note on many is told once, with the signals' names."""
+    validation = made(left__x=None, right__x=None, right__y=None)
+    lines = shown(replace(validation, rows=tuple(replace(r, notes=("is odd",)) for r in validation.rows)))
+    assert [text.split()[0] for text in lines if text.startswith("  ")][1:] == ["left.x", "right.x", "y"]
+    assert "is odd: left.x, right.x, right.y" in lines
 
 
-@pytest.mark.parametrize(
-    ("value", "text"), [(0.0, "0"), (1234.5, "1234"), (0.0123456, "0.0123"), (2e-7, "2e-07"), (None, "-")]
-)
-def test_numbers_have_few_digits(value: float | None, text: str) -> None:
+def test_numbers_have_few_digits() -> None:
     """Three significant digits, powers of ten only where digits would not fit, a dash for nothing."""
-    assert number(value) == text
+    texts = {0.0: "0", 1234.5: "1234", 0.0123456: "0.0123", 2e-7: "2e-07", None: "-"}
+    assert {value: number(value) for value in texts} == texts
 
 
 @pytest.mark.parametrize(
@@ -146,17 +137,8 @@ def test_a_value_and_its_limit_near_hundred_percent_differ(value: float, text: s
     assert told.startswith(f"{text}, limit 99.995 %")
 
 
-@pytest.mark.parametrize(
-    ("use", "text"),
-    [
-        (0.0, "0 %"),
-        (1e-9, "0.1 %"),
-        (0.1034, "10.4 %"),
-        (1.0, "100 %"),
-        (1.00001, "100.1 %"),
-        (2e9, "over 100 times"),
-    ],
-)
-def test_the_use_of_a_limit_is_rounded_up_to_a_tenth_of_a_percent(use: float, text: str) -> None:
+def test_the_use_of_a_limit_is_rounded_up_to_a_tenth_of_a_percent() -> None:
     """A use above a limit is never 100 %; the cards of the report and the terminal have the same text."""
-    assert limit_share(use) == text
+    texts = {0.0: "0 %", 1e-9: "0.1 %", 0.1034: "10.4 %", 1.0: "100 %", 1.00001: "100.1 %"}
+    texts[2e9] = "over 100 times"
+    assert {use: limit_share(use) for use in texts} == texts

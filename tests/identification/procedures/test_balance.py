@@ -13,14 +13,8 @@ from identification.procedures.lumped_machine import P, V, recording
 
 from fmus.contract import quantities, symbolic
 from fmus.identification.balance import linearised, modulating_function, solve, window_starts
-from fmus.identification.procedures.momentum_balance import (
-    ANGLES,
-    DRY,
-    OFFSET,
-    PARAMETERS,
-    joint_samples,
-    symbolic_equations,
-)
+from fmus.identification.procedures import momentum_balance
+from fmus.identification.procedures.momentum_balance import ANGLES, DRY, OFFSET, PARAMETERS
 from fmus.manipulator import MANIPULATOR
 from orchestrator.data.recording import Sensor
 
@@ -39,7 +33,7 @@ def hydraulics(pressures, speed):
 
 def test_the_balance_is_the_machine_s_equation_of_motion():
     """With the accelerations of the manipulator's own dynamics f - dh/dt is zero at any state."""
-    e, a = symbolic_equations(), ca.SX.sym("a", 3)
+    e, a = momentum_balance.symbolic_equations(), ca.SX.sym("a", 3)
     rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, a)
     balance = ca.Function("balance", [e.q, e.w, a, e.pressures, e.tank, e.p], [e.force - rate])
     model, random = symbolic(MANIPULATOR).function(), np.random.default_rng(1)
@@ -81,7 +75,7 @@ DAMPING = {"boom": "manipulator.boom_piston_damping", "stick": "manipulator.stic
 
 def prepared(record, joint, p=P):
     """A recording for the balance of a piston."""
-    return joint_samples(record, joint, (DAMPING[joint],), p)
+    return momentum_balance.joint_samples(record, joint, (DAMPING[joint],), p)
 
 
 def found(record, joint, p=P):
@@ -130,12 +124,8 @@ def test_a_perfect_angle_is_allowed():
 def test_sensitivity_to_a_known_parameter_is_that_of_two_estimates(name):
     """Sensitivity of B against estimates with the parameter changed in both directions."""
     boom, index = recording("boom", seed=1), PARAMETERS.index(name)
-    step = 1e-4 * P[index]
-    ends = []
-    for sign in (1, -1):
-        p = P.copy()
-        p[index] += sign * step
-        ends.append(found(boom, "boom", p).fit.values[0])
-    difference = (ends[0] - ends[1]) / (2 * step)
+    step = 1e-4 * P * (np.arange(P.size) == index)
+    up, down = (found(boom, "boom", P + sign * step).fit.values[0] for sign in (1, -1))
+    difference = (up - down) / (2 * step[index])
     # noise in the regressor has a share of 1 % of the estimate, whose change it does not know
     assert found(boom, "boom").by_known()[0, index] == pytest.approx(difference, rel=0.03)

@@ -70,10 +70,12 @@ def test_angles_that_are_late_are_named():
 
 def test_a_drift_of_a_leakage_is_named():
     """A drain that falls by 2 % with time."""
-    falling = test_motor_leakage.each(
-        lambda r: {"drain_flow": r["drain_flow"] * (1 - 0.02 * r.time / r.time[-1])}
-    )
-    assert "oil temperature" in names(motor_leakage.identify(falling, lumped_machine.KNOWN))
+
+    def less(r):
+        return {"drain_flow": r["drain_flow"] * (1 - 0.02 * r.time / r.time[-1])}
+
+    recordings = test_motor_leakage.each(less)
+    assert "oil temperature" in names(motor_leakage.identify(recordings, lumped_machine.KNOWN))
 
 
 def at_rest(seed=0, **zeros):
@@ -83,15 +85,12 @@ def at_rest(seed=0, **zeros):
 
 def test_a_rest_recording_tells_zeros_also_at_the_end_of_a_range():
     """Zeros of +-0.05 bar, of which a transducer from 0 bar on cuts the lower half, over 20 seeds."""
-    z = []
+    z, zeros = [], {"pressure_in": 5e3, "pressure_out": -5e3}
     for seed in range(20):
-        result = rest.identify([at_rest(seed, pressure_in=5e3, pressure_out=-5e3, flow=0.0)], {})
+        result = rest.identify([at_rest(seed, **zeros, flow=0.0)], {})
         found = {e.name: e for e in result.others}
-        assert set(found) == {"pressure_in", "pressure_out"}  # the turbine stands still
-        z += [
-            (found[n].value - true) / found[n].sd
-            for n, true in (("pressure_in", 5e3), ("pressure_out", -5e3))
-        ]
+        assert set(found) == set(zeros)  # the turbine stands still
+        z += [(found[n].value - true) / found[n].sd for n, true in zeros.items()]
         assert not names(result)
     # mean and mean square of 40 normal errors, four standard deviations
     assert abs(np.mean(z)) < 4 / np.sqrt(40)

@@ -88,18 +88,16 @@ def test_a_distributed_hose_does_not_bias_the_inertance():
     """A hose whose inertance sees the mean flow of its ends: I is right, and so is the position s."""
     result = hoses.identify_dynamics(bench.moving_hose(0, share=0.5), bench.KNOWN)
     found = bench.named(result)
-    assert abs(found["I"].value - bench.INERTANCE) < 4 * found["I"].sd
-    assert abs(found["C"].value - bench.CAPACITANCE) < 4 * found["C"].sd
-    assert abs(found["weight of the outlet's flow"].value - 0.5) < 4 * found["weight of the outlet's flow"].sd
+    for name, truth in (*TRUTHS, ("weight of the outlet's flow", 0.5)):
+        assert abs(found[name].value - truth) < 4 * found[name].sd
 
 
 def test_groups_that_differ_are_named():
     """Two hoses whose capacitances differ by 10 %: it is named, and the interval covers both."""
-    groups = bench.moving_hose(0)
-    other = groups[1]
+    one, other = bench.moving_hose(0)
     stored = other["flow_in"] - other["flow_out"]
     more = bench.changed(other, {"flow_out": other["flow_in"] - 1.1 * stored})
-    result = hoses.identify_dynamics([groups[0], more], bench.KNOWN)
+    result = hoses.identify_dynamics([one, more], bench.KNOWN)
     estimate = bench.named(result)["C"]
     assert estimate.low < bench.CAPACITANCE * 1.005
     assert estimate.high > bench.CAPACITANCE * 1.095
@@ -124,10 +122,7 @@ OUTLET, FLOWS, ONE = ("pressure_out", "flow_out"), ("flow_in", "flow_out"), ("fl
 
 @pytest.mark.parametrize(("late", "delay"), [(OUTLET, 0.002), (OUTLET, 0.03), (FLOWS, 0.012), (ONE, 0.002)])
 def test_the_delay_of_a_logger_is_taken_out_and_named(late, delay):
-    """Signals that are 0.4, 2.4 and 6 samples late: both intervals hold the truth.
-
-    From half a sample on only the delay is named.
-    """
+    """0.4, 2.4 and 6 samples late, both intervals hold the truth; from half a sample on only it is named."""
     result = hoses.identify_dynamics(bench.moving_hose(1, length=6.0, late=late, delay=delay), bench.KNOWN)
     assert [f.fault for f in named(result.findings)] == ["time shift"] * (delay > 0.0025)
     found = bench.named(result)

@@ -2,10 +2,10 @@
 
 import pytest
 from identification.procedures import bench
+from kit.mistakes import problem
 
 from fmus.identification import results
 from fmus.identification.procedures.hoses import identify_resistance
-from orchestrator.base.errors import Problem
 
 SEEDS = 30
 
@@ -17,17 +17,14 @@ def every():
 
 
 def test_resistance_comes_back_and_is_scaled(every):
-    """The stick's C_R within 2 %, the boom's 3/4 of it, eq. (10); over noise seeds intervals hold it.
-
-    The only step below 10 L/min is masked and not fitted, and a remark says so.
-    """
+    """The stick's C_R within 2 %, the boom's 3/4 of it, eq. (10); over noise seeds intervals hold it."""
     found = bench.named(every[0])
     assert found["boom_stick.stick_hose_resistance"].value == pytest.approx(bench.RESISTANCE, rel=0.02)
     ratio = found["boom_stick.boom_hose_resistance"].value / found["boom_stick.stick_hose_resistance"].value
     assert ratio == pytest.approx(0.75, rel=1e-12)  # exact: 3 m of 4 m, the same bore
     bench.assert_coverage(bench.RESISTANCE, [bench.named(result)["C_R"] for result in every])
     masked = next(c for c in every[0].panels[0].curves if c.kind == "masked")
-    assert masked.x.size == 1
+    assert masked.x.size == 1  # the only step below 10 L/min, which is not fitted
     assert every[0].remarks[0].startswith("Left out of 24 steps: 1 in the dead zone")
 
 
@@ -63,5 +60,6 @@ def test_another_viscosity_is_estimated(thicker):
 
 def test_too_few_steps_are_refused():
     """Three flows are not enough to compare the laws: one line says so."""
-    with pytest.raises(Problem, match=r"^hose_resistance: expected at least 4 steady steps, got 3[^\n]*$"):
-        identify_resistance(bench.steady_hose(0, bench.friction, (50.0, 100.0, 200.0)), bench.KNOWN)
+    few = bench.steady_hose(0, bench.friction, (50.0, 100.0, 200.0))
+    told = r"^hose_resistance: expected at least 4 steady steps, got 3"
+    problem(lambda: identify_resistance(few, bench.KNOWN), told)

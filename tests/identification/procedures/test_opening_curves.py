@@ -16,13 +16,10 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
 QUICK = ("line^1", "line^1.05", "asymmetric 2")  # a line, nearly one, and two other shapes
+ALL = pytest.param(tuple(bench.VALVES), marks=shards.machine)
 
 
-@pytest.fixture(
-    scope="module",
-    params=[QUICK, pytest.param(tuple(bench.VALVES), marks=shards.machine)],
-    ids=["some", "all"],
-)
+@pytest.fixture(scope="module", params=[QUICK, ALL], ids=["some", "all"])
 def trials(request):
     """Valves with one seed of noise and zeros; `make coverage` has 100 seeds."""
     return [t for name in request.param for t in bench.trials(name, 0)]
@@ -179,10 +176,7 @@ def test_a_wrong_noise_is_named_with_the_right_one(factor):
 
 
 def test_a_zero_of_the_flow_meter_is_seen_at_closed_edges(monkeypatch):
-    """Readings that no command changes are subtracted, and named if they are not declared.
-
-    An opening from 0.3 V has one closed command of 0.25 V only: the steps at 0 V tell the zero, too.
-    """
+    """Readings that no command changes are subtracted, and named if they are not declared."""
     recording = bench.edge("P-A", bench.power(1.0), np.zeros(2), [8])
     shifted = changed(recording, {"flow": recording["flow"] + 0.3 * bench.LITRES})
     assert faults(valve.identify([recording], bench.KNOWN)) == []
@@ -190,6 +184,7 @@ def test_a_zero_of_the_flow_meter_is_seen_at_closed_edges(monkeypatch):
     assert faults(result) == ["zero of a flow meter"]
     start = named(result)["dead_band + rounding/2"]
     assert start.low <= bench.DEAD_BAND <= start.high
+    # an opening from 0.3 V has one closed command of 0.25 V only: the steps at 0 V tell the zero, too
     monkeypatch.setattr(bench, "STEPS", (0.0, *bench.STEPS))
     recording = bench.edge("P-A", bench.power(1.0, 0.3), np.zeros(2), [10])
     shifted = changed(recording, {"flow": recording["flow"] + 0.3 * bench.LITRES})
@@ -362,9 +357,8 @@ def test_a_rounding_that_no_line_has_is_left_out(monkeypatch):
 
 def test_resistances_between_two_steps_are_those_of_the_opening(monkeypatch):
     """C_R at 3 V of a line with steps at 2.75 and 3.5 V: the nearest point of a grid was up to 5 % off."""
-    monkeypatch.setattr(
-        bench, "STEPS", (*np.arange(0.0, 2.01, 0.2), *np.arange(2.75, 10.0, 0.75), 10.0, 10.0)
-    )
+    steps = (*np.arange(0.0, 2.01, 0.2), *np.arange(2.75, 10.0, 0.75), 10.0, 10.0)
+    monkeypatch.setattr(bench, "STEPS", steps)
     estimates = named(found(bench.power(1.0, 0.7)))
     area = bench.AREA * bench.power(1.0, 0.7)(np.array([3.0]))[0]
     truth = bench.DENSITY / 2 / (bench.C_D * area) ** 2

@@ -13,7 +13,6 @@ from identification.recordings.conftest import META, edit
 from kit.mistakes import problem, table
 
 from fmus.identification.recordings import reading
-from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
 
@@ -88,16 +87,6 @@ def test_columns_of_matlab_structs_and_matrices(csv, columns):
         same(reading.read(path), replace(expected, title=path.stem))
 
 
-def test_logger_with_semicolons_and_commas(csv):
-    """Lines before the names, ";" and decimal "," give the same numbers as a plain CSV file."""
-    expected = reading.read(csv)
-    plain = csv.read_text(encoding="utf-8").replace(",", ";").replace(".", ",")
-    csv.write_text(f"\ufeffLogger 7\n\n{plain}\n", encoding="utf-8")
-    how = '[file]\ndelimiter = ";"\ndecimal = ","\nskip_lines = 2\n'
-    csv.with_suffix(".toml").write_text(how + META, encoding="utf-8")
-    same(reading.read(csv), expected)
-
-
 def test_what_loggers_write_for_no_sample_is_a_gap(csv):
     """nan, NA, null and blanks are gaps like an empty cell."""
     for word in ("nan", "NA", "null", "  ", "N/A"):
@@ -109,21 +98,19 @@ def test_what_loggers_write_for_no_sample_is_a_gap(csv):
         assert np.flatnonzero(np.isnan(reading.read(csv)["pressure_in"])).tolist() == [2, 7]
 
 
-def test_a_condition_is_a_table_or_a_text_with_a_unit(csv):
-    """The text "870 kg/m3" is what { value = 870, unit = "kg/m3" } is; a text without a unit stays one."""
+def test_a_part_and_conditions_of_two_forms_are_read(csv):
+    """start and stop of [time] apply to the time after unit and offset.
+
+    The text "870 kg/m3" is what { value = 870, unit = "kg/m3" } is; a text without a unit stays one.
+    """
     stated = 'density = "0.87 g/cm3"\nviscosity = { value = 20, unit = "mPa.s" }\nnote = "70 in winter"'
-    edit(csv.with_suffix(".toml"), ("[experiment]", f"[experiment]\n{stated}"))
+    part = ("[time]", "[time]\nstart = -1.45\nstop = -1.4")
+    edit(csv.with_suffix(".toml"), ("[experiment]", f"[experiment]\n{stated}"), part)
     read = reading.read(csv)
+    assert len(read.time) == 11  # 0.05 s at 200 Hz, both ends
     assert read.numeric_condition("density") == pytest.approx(870.0, rel=1e-12)
     assert read.numeric_condition("viscosity") == pytest.approx(0.02, rel=1e-12)
     assert read.text_condition("note") == "70 in winter"
-
-
-def test_only_the_part_between_start_and_stop(csv):
-    """start and stop of [time] apply to the time after unit and offset."""
-    edit(csv.with_suffix(".toml"), ("[time]", "[time]\nstart = -1.45\nstop = -1.4"))
-    # 0.05 s at 200 Hz, both ends
-    assert len(reading.read(csv).time) == 11
 
 
 def test_folder_has_its_experiments_only(csv):
@@ -146,10 +133,10 @@ def test_required_signals_have_their_dimension(csv):
     """A procedure that needs a pressure refuses a flow under that name, and a missing signal."""
     found = reading.read(csv)
     reading.require(found, {"pressure_in": "Pa", "flow": "m3/s"})
-    with pytest.raises(Problem, match=r"a\.csv: signal flow is in L/min \(m3/s\), expected Pa"):
-        reading.require(found, {"flow": "Pa"})
-    with pytest.raises(Problem, match=r"a\.csv: expected the signal pressure_out.*got command, pressure_in"):
-        reading.require(found, {"pressure_out": "Pa"})
+    told = r"a\.csv: signal flow is in L/min \(m3/s\), expected Pa"
+    problem(lambda: reading.require(found, {"flow": "Pa"}), told)
+    told = r"a\.csv: expected the signal pressure_out.*got command, pressure_in"
+    problem(lambda: reading.require(found, {"pressure_out": "Pa"}), told)
 
 
 USUAL = {"Pa": (1e5, 1e7), "m3/s": (1e-4, 1e-3), "m": (0.1, 1), "m/s": (0.1, 1), "V": (1, 10)}
@@ -178,11 +165,8 @@ def test_the_pitch_of_a_stick_is_no_angle(share, lever, motion, named):
     """It follows the boom while the lever of the stick is at rest; a wide or quiet boom tells nothing."""
     time = np.arange(4000) / 200
     boom = 0.3 * motion * np.sin(time)
-    signals = {
-        reading.BOOM: boom,
-        reading.STICK: share * boom - 1.2,
-        reading.LEVER: np.where(time > 19, 5, 5 * lever),
-    }
+    signals = {reading.BOOM: boom, reading.STICK: share * boom - 1.2}
+    signals |= {reading.LEVER: np.where(time > 19, 5, 5 * lever)}
     units = {reading.BOOM: "rad", reading.STICK: "rad", reading.LEVER: "V"}
     made = Recording(time, signals, units, Path("a.csv"), procedure="machine")
     told = reading.doubtful([made])

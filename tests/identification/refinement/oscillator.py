@@ -35,15 +35,8 @@ def _oscillator(name: str, dynamics: Any) -> Subsystem:
         "offset": Quantity("m/s2", "Constant acceleration", 0.1),
     }
     states = {"position": "m", "speed": Quantity("m/s", "Speed", 3.0)}
-    return toy(
-        name,
-        p=parameters,
-        x=states,
-        u={"push": "1"},
-        y={"position": "m"},
-        f=dynamics,
-        g=lambda x, *_: {"position": x.position},
-    )
+    shown = {"y": {"position": "m"}, "g": lambda x, *_: {"position": x.position}}
+    return toy(name, p=parameters, x=states, u={"push": "1"}, f=dynamics, **shown)
 
 
 OSCILLATOR = _oscillator("oscillator", _dynamics)
@@ -54,9 +47,7 @@ NOISE = 0.02  # m, about 2 % of the motion
 FREE = ("stiffness", "damping", "gain")
 
 
-def recording(
-    seed: int = 0, seconds: float = 12.0, noise: float = NOISE, dead_zone: float = 0.0
-) -> Recording:
+def recording(seed: int = 0, seconds: float = 12.0, noise=NOISE, dead_zone: float = 0.0) -> Recording:
     """A recording of the true model at 50 Hz, from rest at the origin, driven by steps."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(50 * seconds) + 1) / 50

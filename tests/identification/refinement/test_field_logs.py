@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from identification.procedures.lumped_machine import ENCODER
 from identification.refinement.test_refine_machine import SENSORS, SOME, machine_recording
@@ -44,9 +45,13 @@ def held(columns, rows, gap=False):
     """Commands at 20 Hz, angles at 50 Hz, pressures at 100 Hz: in one table with repeated or empty cells."""
     every, k = {"command": 10, "angle": 4, "pressure": 2}, np.arange(rows)
     sent = {n: k // every[kind(n)] * every[kind(n)] for n in columns if n != "time"}
-    return {"time": columns["time"]} | {
-        n: np.where(gap & (k != sent[n]), np.nan, columns[n][sent[n]]) for n in sent
-    }
+    sampled = {n: np.where(gap & (k != row), np.nan, columns[n][row]) for n, row in sent.items()}
+    return {"time": columns["time"]} | sampled
+
+
+def around(columns):
+    """Angles from 0 to 360 degrees."""
+    return columns | {n: y % 360 for n, y in columns.items() if "angle" in n}
 
 
 def early(columns, *milliseconds):
@@ -57,34 +62,20 @@ def early(columns, *milliseconds):
 
 def coded(columns, *names):
     """'Not available' in one of 300 samples."""
-    row = np.arange(columns["time"].size)
-    return {
-        n: np.where(row % 300 == 7 + i, NO_VALUE, y) if n in names else y
-        for i, (n, y) in enumerate(columns.items())
-    }
+    row, places = np.arange(columns["time"].size), [*columns]
+    lost = {n: np.where(row % 300 == 7 + places.index(n), NO_VALUE, columns[n]) for n in names}
+    return columns | lost
 
 
 PRESSURES = [signal_names()[n] for n in SENSORS if kind(n) == "pressure"]
 # what is in the log, keys of its signals of these kinds, and what is told
 LOGS = {
     "as it was": (lambda c: c, {}, ""),
-    "encoder 0 to 360": (
-        lambda c: c | {n: c[n] % 360 for n in c if "angle" in n},
-        {},
-        "swing_angle: jumps .* unwrapped",
-    ),
+    "encoder 0 to 360": (around, {}, "swing_angle: jumps .* unwrapped"),
     "commands 20 ms early": (lambda c: early(c, 20, 20, 20), {"command": {"delay": 0.02}}, ""),
-    "commands 10, 40 and 100 ms early": (
-        lambda c: early(c, 10, 40, 100),
-        {"command": {"delay_error": 0.2}},
-        "",
-    ),
+    "commands 10 to 100 ms early": (lambda c: early(c, 10, 40, 100), {"command": {"delay_error": 0.2}}, ""),
     "empty cells": (lambda c: held(c, c["time"].size, gap=True), {}, ""),
-    "repeated cells": (
-        lambda c: held(c, c["time"].size),
-        {"command": {"held": True}, "angle": {"held": True}, "pressure": {"held": True}},
-        "",
-    ),
+    "repeated cells": (lambda c: held(c, c["time"].size), {n: {"held": True} for n in UNITS}, ""),
     "codes at the pressures": (
         lambda c: coded(c, *PRESSURES),
         {},
@@ -103,10 +94,7 @@ LOGS = {
 
 def write(folder: Path, columns: dict[str, np.ndarray], keys: dict[str, dict[str, object]]) -> Path:
     """The log and its description; a pressure sensor for 400 bar."""
-    np.savetxt(
-        folder / "a.csv", np.column_stack([*columns.values()]), delimiter=",", header=",".join(columns),
-        comments="",
-    )  # fmt: skip
+    pd.DataFrame(columns).to_csv(folder / "a.csv", index=False)
     instrument = {
         "pressure": {"noise": 1e4, "resolution": 400e5 / 4096, "span": [0.0, 400e5]},
         "angle": {"noise": np.degrees(ENCODER.sd)},
@@ -122,7 +110,7 @@ def write(folder: Path, columns: dict[str, np.ndarray], keys: dict[str, dict[str
 
 # each way of logging with the keys for it, at the slowest clock; an undisturbed log is a part of all
 # and three delays to be found are in test_delays.py
-OTHERS = ("as it was", "50 Hz", "codes at the supply", "empty cells", "commands 10, 40 and 100 ms early")
+OTHERS = ("as it was", "50 Hz", "codes at the supply", "empty cells", "commands 10 to 100 ms early")
 QUICK = {*LOGS} - {*OTHERS}
 
 

@@ -120,17 +120,14 @@ def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:
 
 
 def test_what_the_machine_knows_before() -> None:
-    """Values within a factor of ten, 30 % without a measurement; zeros within half of what is declared; the
-    pressures of the lines smoothed over 20 s."""
+    """A tenth to ten times a value, 30 % if not measured; half of a declared zero; lines smoothed: 20 s."""
     time, name = np.arange(6000) / 200, signal_names()["supply_pressure"]
     read = still("swing_pressure_a")
     supply = 2e7 + 1e4 * np.random.default_rng(0).standard_normal(6000)
     signals = {n: np.resize(s, 6000) for n, s in read.signals.items()} | {name: supply}
     sensors = {n: replace(s, zero_error=1e5) for n, s in read.sensors.items()} | {name: Sensor(noise=1e4)}
-    units = {**read.units, name: "Pa"}
-    task = machine.problem(
-        [replace(read, time=time, signals=signals, sensors=sensors, units=units)], nominal(), ["head_mass"]
-    )
+    read = replace(read, time=time, signals=signals, sensors=sensors, units={**read.units, name: "Pa"})
+    task = machine.problem([read], nominal(), ["head_mass"])
     mass, zero = task.free
     known = nominal()["manipulator.head_mass"]
     assert (mass.sd, mass.high) == pytest.approx((known.sd or 0.3 * known.value, 10 * known.value))

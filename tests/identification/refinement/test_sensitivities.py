@@ -83,11 +83,9 @@ def test_the_start_is_that_of_the_subsystem() -> None:
     """`initial` and its derivatives: the lag at rest, the size from its seed."""
     toy = model()
     x0, slopes = toy.start(toy.p0, np.array([U0]))
-    seed, gain = toy.p0[FREE.index("seed")], toy.p0[FREE.index("gain")]
-    expected = np.zeros((2, 5))
-    expected[0, FREE.index("gain")] = U0
-    expected[1, FREE.index("seed")] = 1 + U0
-    assert x0 == pytest.approx([gain * U0, seed * (1 + U0)], rel=1e-15)  # rounding
+    p, each = NUMBERS.p, np.array(FREE)
+    assert x0 == pytest.approx([p["gain"] * U0, p["seed"] * (1 + U0)], rel=1e-15)  # rounding
+    expected = np.array([U0 * (each == "gain"), (1 + U0) * (each == "seed")])
     assert slopes == pytest.approx(expected, rel=1e-15)
 
 
@@ -114,9 +112,7 @@ def test_one_sample_is_the_state_itself() -> None:
     """A segment of one sample has no step, only the derivatives of the outputs."""
     toy, x0 = model(), np.array([0.1, 0.8])
     piece = toy.segment(x0, toy.p0, TIME[:1], DRIVE[:1, None])
-    assert piece.steps == 0
-    assert np.array_equal(piece.x, x0)
-    assert np.array_equal(piece.x_x, np.eye(2))
+    assert (piece.steps, piece.x.tolist(), piece.x_x.tolist()) == (0, x0.tolist(), np.eye(2).tolist())
     assert not piece.x_p.any()
     assert piece.y_x[0] == pytest.approx(np.diag([1, 2 * 1.5 * 0.8]))
 

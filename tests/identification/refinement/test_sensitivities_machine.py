@@ -92,9 +92,8 @@ def variational(chosen: Sequence[str], count: int) -> tuple[np.ndarray, np.ndarr
     ode["ode"] = rate(spread[0], at + slope * t, p, spread[1]) / weights
     x = np.array(list(NUMBERS.x.values()))
     u = driven(list(quantities(HARVESTER.inputs)))
-    begin = ca.Function(
-        "begin", known, [sym.start, ca.substitute(along(sym.start), s, ca.SX.zeros(nx, len(free)))]
-    )
+    at_start = ca.substitute(along(sym.start), s, ca.SX.zeros(nx, len(free)))
+    begin = ca.Function("begin", known, [sym.start, at_start])
     x0, s0 = (value.full() for value in begin(x, u[0], p))
     state = np.concatenate([x0.T.ravel(), s0.T.ravel()]) / weights
     history = [state]

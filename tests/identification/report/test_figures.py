@@ -9,14 +9,8 @@ import pytest
 from identification.report.samples import panel, residual, result
 from matplotlib.image import imread
 
-from fmus.identification.report import report_texts
-from fmus.identification.report.figures import (
-    SIGNALS,
-    draw_correlation,
-    draw_procedure,
-    joint_figure,
-    opening_panel,
-)
+from fmus.identification.report import figures, report_texts
+from fmus.identification.report.figures import draw_procedure, joint_figure, opening_panel
 from fmus.identification.report.identification_page import _joints
 from fmus.identification.report.prediction import RecordingComparison, nrmse
 from fmus.identification.results import Curve, Estimate, Panel
@@ -81,33 +75,21 @@ def test_tables_of_openings_are_drawn_with_their_bands():
     first, _ = (band.get_paths()[0].vertices for band in axes.collections)
     # exact identity: rounding only
     assert {(x, round(y, 9)) for x, y in first} >= {(2, 0.1), (2, 0.5), (4, 0.9), (4, 1.3)}
-    empty = [
-        Estimate(f"valve_pa_{kind}_1", 0.0, "1", 0, 0, 0, "", f"valve_pa_{kind}s")
-        for kind in ("command", "opening")
-    ]
+    empty = [replace(e, value=0.0) for e in table("pa", 1.0)]
     assert opening_panel(empty) is None
 
 
-@pytest.mark.parametrize(
-    "shown",
-    [
-        panel(),  # measured, masked, fitted, compared and corrected
-        *(
-            Panel(
-                "x", "y", tuple(Curve(f"law {k}", TIME, k + TIME, "compared", line=joined) for k in range(4))
-            )
-            for joined in (True, False)
-        ),
-    ],
-    ids=["kinds", "lines", "marks"],
-)
-def test_curves_differ_without_colour(shown):
-    """Each kind of curve, and each of several compared ones, differs in mark, line or filling."""
-    assert len(looks(drawn(shown).axes[0])) == len(shown.curves)
+def test_curves_differ_without_colour():
+    """Each kind of curve, and each of several compared ones, differs in mark, line or filling.
 
-
-def test_measured_and_fitted_lines_differ_without_colour():
-    """Two lines: the measurement broad and solid, the fit thin and dotted."""
+    Of two lines the measurement is broad and solid, the fit thin and dotted.
+    """
+    laws = (
+        tuple(Curve(f"law {k}", TIME, k + TIME, "compared", line=joined) for k in range(4))
+        for joined in (True, False)
+    )
+    for shown in (panel(), *(Panel("x", "y", curves) for curves in laws)):
+        assert len(looks(drawn(shown).axes[0])) == len(shown.curves)
     curves = (Curve("m", TIME, np.sin(TIME), line=True), Curve("f", TIME, np.cos(TIME), "fit", line=True))
     measured, fit = drawn(Panel("time", "x", curves)).axes[0].lines
     assert measured.get_linewidth() > 1.5 * fit.get_linewidth()
@@ -210,11 +192,12 @@ def test_nrmse_is_over_the_range():
 
 def test_panels_of_measured_signals_and_correlations():
     """A joint without a flow meter has no panel for flow; each pair is drawn once, large ones with value."""
-    names = [n for signals in SIGNALS["swing"].values() for n in signals if "flow" not in n]
+    names = [n for signals in figures.SIGNALS["swing"].values() for n in signals if "flow" not in n]
     drawn = joint_figure(comparison(dict.fromkeys(names[:4], TIME), {}), "swing")
     assert [panel.label for panel in drawn.panels] == ["command", "angle", "speed", "pressure"]
     names = ["a", "b", "c"]
-    axes = draw_correlation(names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]])).axes[0]
+    correlation = np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]])
+    axes = figures.draw_correlation(names, correlation).axes[0]
     assert sorted(t.get_text() for t in axes.texts) == ["0.9", "\N{MINUS SIGN}0.4"]
     assert [t.get_text() for t in axes.get_xticklabels()] == ["a", "b"]
     assert [t.get_text() for t in axes.get_yticklabels()] == ["b", "c"]

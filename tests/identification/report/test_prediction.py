@@ -8,22 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from identification.procedures.bench import changed
+from kit.mistakes import problem
 from kit.properties import examples
 from kit.work_cycle import REFERENCE
 
 from fmus.identification.machine import COMMANDS
+from fmus.identification.report import prediction
 from fmus.identification.report.attribution import candidate_effects
-from fmus.identification.report.prediction import (
-    COMMAND_TOLERANCE,
-    Excitation,
-    excitation,
-    extrapolations,
-    predict,
-    simplify,
-)
+from fmus.identification.report.prediction import Excitation, excitation, predict, simplify
 from fmus.machine.poses import NOMINAL, POSES
 from fmus.machine.work_cycle import Move
-from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, Sensor
 
 POSE = {joint: getattr(POSES[NOMINAL], joint) for joint in ("swing", "boom", "stick")}
@@ -98,13 +92,14 @@ def test_gaps_of_a_command_are_filled_or_refused():
     short, long = (np.where((T >= 1) & (end > T), np.nan, ramp) for end in (1.05, 1.5))
     recording = standing(short)
     # straight lines through the samples may be off by this
-    np.testing.assert_allclose(excitation(recording).commands["boom_command"], ramp, atol=COMMAND_TOLERANCE)
+    room = prediction.COMMAND_TOLERANCE
+    np.testing.assert_allclose(excitation(recording).commands["boom_command"], ramp, atol=room)
     for name, values, message in (
         (COMMANDS["boom_command"], long, r"boom_command: expected gaps of .* got one from 1 s to 1\.495 s"),
         ("manipulator.swing_angle", np.where(T < 1, np.nan, 0.0), "swing_angle: expected a sample in the"),
     ):
-        with pytest.raises(Problem, match=message):
-            excitation(changed(recording, {name: values}))
+        read = changed(recording, {name: values})
+        problem(lambda read=read: excitation(read), message)
 
 
 def test_a_measured_supply_pressure_drives_the_machine():
@@ -152,7 +147,7 @@ def driven(*commands: float, ramp: int = 0, sd: float = 0.0) -> Recording:
 )
 def test_inputs_outside_their_range_in_training_are_told(training, predicted, told):
     """Farther from zero than ever, or nearer for long; each sign by itself; other signals do not count."""
-    found = extrapolations(predicted, {"command": training["command"]}, ["command", "missing"])
+    found = prediction.extrapolations(predicted, {"command": training["command"]}, ["command", "missing"])
     assert [str(extrapolation) for extrapolation in found] == told
 
 
@@ -163,4 +158,4 @@ def test_rounding_makes_no_corners():
     found = simplify(time, np.round(move, 5)[:, None])[:, 0]
     corners = np.abs(np.diff(found, 2)) > 1e-9
     assert corners.sum() <= 8  # four corners, each between two samples at most
-    assert np.abs(found - move).max() < COMMAND_TOLERANCE
+    assert np.abs(found - move).max() < prediction.COMMAND_TOLERANCE

@@ -89,12 +89,10 @@ def machine() -> Recording:
 
 
 def test_speeds_are_compared_through_one_filter_and_flows_outside_the_dead_zone():
-    """Measured and predicted speeds are derivatives of the angles; the predicted output is not used.
-
-    A flow that the meter cannot read has no residual.
-    """
+    """Speeds, measured and predicted, are derivatives of angles; a flow in the dead zone has no residual."""
     recording = machine()
-    predicted = dict(recording.signals) | {"manipulator.boom_speed": np.full(TIME.size, 9.0)}
+    unused = {"manipulator.boom_speed": np.full(TIME.size, 9.0)}  # the predicted output
+    predicted = dict(recording.signals) | unused
     seen = compare(recording, predicted)
     speed = seen.measured["manipulator.boom_speed"]
     known = np.isfinite(speed)
