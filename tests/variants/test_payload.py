@@ -14,17 +14,13 @@ from fmus.machine.work_cycle import STEMS, WITH_STEMS, payload
 from fmus.manipulator import VARIANTS
 from orchestrator import run
 
-# ---- momentum
-
-
 @pytest.mark.parametrize("name", VARIANTS)
 def test_mass_that_is_dropped_gives_no_impulse(name):
     """While mass leaves every acceleration is that of the mass still held: leaving mass keeps its speed."""
     arm, rng = Part(VARIANTS[name]), np.random.default_rng(8)
     for _ in range(20):
-        x = arm.start({"payload_mass": 250.0})
-        x[3:6] = rng.uniform(-1.0, 1.0, 3)
-        forces = {"swing_torque": 1e4, "boom_force": 9e4, "stick_force": -1e4}
+        x, forces = arm.start({"payload_mass": 250.0}), {"boom_force": 9e4, "stick_force": -1e4}
+        x[3:6], forces["swing_torque"] = rng.uniform(-1.0, 1.0, 3), 1e4
         still = arm(x, **forces)[0]
         x[arm.at("payload_flow")] = -800.0
         dropping = arm(x, **forces)[0]
@@ -54,18 +50,13 @@ def test_force_of_the_pick_up_is_flow_times_velocity(name):
         assert taking["dissipated_power"] == pytest.approx(heat, rel=1e-9)
 
 
-# ---- programs
-
-
 def test_operator_gives_the_stems_of_its_program(fmu_dir):
     """Steps at start and end of each stem, as declared; the FMU stands at them to the millisecond."""
-    program = {
-        f"payload_{n}_{k}": getattr(s, k) for n, s in enumerate(STEMS, 1) for k in ("start", "mass", "hold")
-    }
+    kinds = ("start", "mass", "hold")
+    program = {f"payload_{n}_{k}": getattr(s, k) for n, s in enumerate(STEMS, 1) for k in kinds}
     with driving(fmu_dir / "operator_input.fmu", **program) as operator:
         for n in range(42):
-            expected = payload(STEMS, np.array([float(n)]))[0]
-            assert operator.get("payload_mass")[0] == expected
+            assert operator["payload_mass"] == payload(STEMS, np.array([float(n)]))[0]
             operator.step(1.0)
 
 
