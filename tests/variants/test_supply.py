@@ -59,7 +59,8 @@ def test_ideal_source_holds_its_pressure_for_any_flow(flows):
     row = inputs_of(IDEAL, flows)
     y = IDEAL.show([], row, IDEAL.constants(reservoir_pressure=1e5))
     u = dict(zip(IDEAL.inputs, row, strict=True))
-    taken, given_back = (sum(x for n, x in u.items() if n.startswith(f"{k}_flow")) for k in ("supply", "return"))
+    drives = ("swing", "boom_stick")
+    taken, given_back = (sum(u[f"{line}_flow_{d}"] for d in drives) for line in ("supply", "return"))
     assert (y["supply_pressure"], y["supply_pressure_rate"], y["tank_pressure"]) == (SETTING, 0.0, 1e5)
     # exact identity; rounding of 2e5 W
     assert y["hydraulic_power"] == pytest.approx(SETTING * taken - 1e5 * given_back, rel=1e-12, abs=1e-9)
