@@ -58,9 +58,10 @@ def test_a_mistake_is_told_in_one_line(tmp_path, old, by, message):
 
 
 MOMENTS = "120 kNm, 120 kN m, 120000 Nm, 12.2366 t.m, 12.2366 tm, 12.2366 mt, 88507.5 ft.lbf, 88507.5 lb-ft"
+TURN = 2 * np.pi  # rad
 SHEETS = {  # key, and its value in SI units -> in the file of the loader, and as data sheets write it
     ("lifting_moment", 120e3): ("[supply]", "[datasheet]\nlifting_moment = {}\n[supply]", MOMENTS),
-    ("motor_displacement", 125e-6 / np.pi): ('"1.14e-3 m3/rad"', "{}", "250 ccm/rev, 250 cc/U, 0.25 L/rev"),
+    ("motor_displacement", 250e-6 / TURN): ('"1.14e-3 m3/rad"', "{}", "250 ccm/rev, 250 cc/U, 0.25 L/rev"),
     ("density", 870): ('"870 kg/m3"', "{}", "870 kg m-3, 0.87 t/m3, 54.3123 lb/ft3"),
 }
 

@@ -56,7 +56,7 @@ def test_every_fault_acts(part, variant):
     for k in range(30):
         x, u = state(of, rng)
         # cold oil does not reach the cooler; a relief valve acts from its pressure on
-        x = np.where(np.array(of.states) == "oil_temperature", 345.0, x)
+        x = np.where(np.array(of.states, str) == "oil_temperature", 345.0, x)
         declared, share = quantities(sub.inputs), 0.95 if k % 2 else 0.05
         u |= {n: share * declared[n].maximum if n.endswith("loss") else 0.01 for n in names}
         slope = slopes(x, list((of.u | u).values()), list(of.p.values())).full()[:, columns]

@@ -132,8 +132,8 @@ def scaled(length: float, variant: str) -> dict[str, Values]:
     }
     numbers = {}
     for part, sub in FERIC.chosen(swing=variant, boom_stick=variant).items():
-        v, scaled = values(sub), of_length.get(part, ())
-        p = {n: x * length if n.endswith(scaled) else x for n, x in v.p.items()}
+        v, ends = values(sub), of_length.get(part, ())
+        p = {n: x * length if n.endswith(ends) else x for n, x in v.p.items()}
         numbers[part] = Values(p | ({"valve_leakage": 1e-17} if "valve_leakage" in p else {}), v.u, v.x)
     return numbers
 
