@@ -200,7 +200,9 @@ def test_manipulator_is_a_chain(variant):
     ours = equations_of_motion(
         lambda s, v: chain.kinetic(turn @ s, turn @ v, own),
         lambda s: chain.potential(turn @ s, own),
-        *(q, w, (mass, load.mass)),
+        q,
+        w,
+        (mass, load.mass),
     )
     by_hand = mechanics(x, p, VARIANTS[variant].dynamics.args[0].head)
     found, expected = (ca.Function("f", [stack(x), stack(p)], terms_of(m)) for m in (ours, by_hand))

@@ -46,7 +46,7 @@ def test_a_case_of_the_held_out_machines_runs(built, monkeypatch):
     found = held_out.outcome(held_out.TUNING, 7, built, with_cost=False)
     assert not found.why
     assert 0.0 < found.error <= found.asked
-    assert min(found.estimate, found.cpu, found.runs, found.steps) > 0
+    assert all(number > 0 for number in (found.estimate, found.cpu, found.runs, found.steps))
 
 
 def test_readme_tells_how_near_the_tip_stays():

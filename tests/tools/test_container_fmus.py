@@ -55,8 +55,11 @@ def fmpy_container(folder: Path, target: Path, version: int) -> Path:
         variable = ModelVariable(name=name.replace(".", "_"), type=real, **shown)
         mapped[variable] = [(parts[name.split(".")[0]], variables[name])]
     description = ModelDescription(
-        **{"fmiVersion": f"{version}.0", "modelName": "harvester", "instantiationToken": "harvester"},
-        **{"modelVariables": [clock, *mapped], "coSimulation": CoSimulation(fixedInternalStepSize=STEP)},
+        fmiVersion=f"{version}.0",
+        modelName="harvester",
+        instantiationToken="harvester",
+        modelVariables=[clock, *mapped],
+        coSimulation=CoSimulation(fixedInternalStepSize=STEP),
     )
     wires = [Connection(*end(start), *end(stop)) for start, stop in sorted(RATED, key=rank)]
     system = Configuration(False, description, list(parts.values()), wires, mapped)

@@ -30,8 +30,6 @@ STIFF = 1e30  # Pa: a wall that does not give
 WORK = 1e7  # Pa: far above the pressure at which the oil cavitates
 AREA = math.pi / 4 * BORE**2
 CLOSED_END = (False, True)  # a constant pressure at the inlet, the outlet shut
-
-
 ASKED = {"length": st.floats(0.3, 6.0), "bandwidth": st.floats(20.0, 400.0), "error": st.floats(0.005, 0.15)}
 
 

@@ -311,7 +311,10 @@ def test_oil_is_conserved(bench, pressures, strokes, shaft, flows):
 
 
 @given(
-    *(st.floats(*range_) for range_ in ((5e6, 2.1e7), (-2e6, 2e6), (1e5, 5e6), (4e-13, 2e-11))),
+    st.floats(5e6, 2.1e7),
+    st.floats(-2e6, 2e6),
+    st.floats(1e5, 5e6),
+    st.floats(4e-13, 2e-11),
     st.sampled_from([0.0, 2e5]),
 )
 def test_rest_stays_at_rest(setting, apart, band, leakage, tank):

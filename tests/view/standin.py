@@ -69,7 +69,8 @@ class StandIn:
         return bool(self.commands) and any(self.commands[-1].values())
 
     def since(self, number: int) -> tuple[Any, ...]:
-        part = self.frames[(first := max(number + 1, 0)) :]
+        first = max(number + 1, 0)
+        part = self.frames[first:]
         values = np.array([row for _, row in part]).reshape(len(part), len(self.signals))
         numbers, times = np.arange(first, first + len(part)), np.array([t for t, _ in part])
         return numbers, times, np.tile(self._axes(), (len(part), 1)), values

@@ -77,12 +77,18 @@ def integrated(path: Path, pieces: Sequence[Piece], tolerance: float, step: floa
             fmu.set(**at(piece, t))
 
         solver = CVodeSolver(
-            **{"nx": fmu.description.numberOfContinuousStates, "nz": 0, "get_z": None, "input": None},
-            **{"get_x": model.getContinuousStates, "set_x": model.setContinuousStates},
+            nx=fmu.description.numberOfContinuousStates,
+            nz=0,
+            get_x=model.getContinuousStates,
+            set_x=model.setContinuousStates,
             get_dx=model.getContinuousStateDerivatives if fmu.version == 3 else model.getDerivatives,
+            get_z=None,
             get_nominals=model.getNominalsOfContinuousStates,
-            **{"set_time": set_time, "startTime": begin},
-            **{"relativeTolerance": tolerance, "maxNumSteps": 10**6},
+            set_time=set_time,
+            input=None,
+            startTime=begin,
+            relativeTolerance=tolerance,
+            maxNumSteps=10**6,
         )
         for piece in pieces:
             solver.reset(piece[0])

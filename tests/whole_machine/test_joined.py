@@ -86,7 +86,11 @@ def test_fmu_carries_the_numbers_with_their_sources(fmu_dir, tmp_path):
 def part(name: str, gain: float = 2.0, text: str = "Gain", **quantity: Any) -> tuple[Subsystem, Any]:
     """A lag y' = gain (u - y), and its tables."""
     lag = toy(
-        *(name, {"gain": Quantity("1/s", text, **quantity)}, {"y": WAY}, {"u": AIM}, {"y": WAY, "aim": AIM}),
+        name,
+        p={"gain": Quantity("1/s", text, **quantity)},
+        x={"y": WAY},
+        u={"u": AIM},
+        y={"y": WAY, "aim": AIM},
         f=lambda s, i, k: {"y": k.gain * (i.u - s.y)},
         g=lambda s, i, k: {"y": s.y, "aim": i.u},
         require=lambda s, i, k: {"gain is positive": k.gain},
