@@ -57,8 +57,8 @@ GOOD = 'out.write_text("time,y\\n0,1\\n1,2\\n"); out.with_name("wall.txt").write
 def test_numbers_have_two_digits():
     """Shares and speeds; from 1 on without a power of ten: 100 % is 100, not 1e+02."""
     shares, speeds = (0.0, 8.6e-5, 0.0149, 0.5, 0.994, 0.996, 1.0, 3.24), (0.0412, 2.4, 3.26, 83.6, 1234.5)
-    assert [*map(percent, shares)] == "0 0.0086 1.5 50 99 100 100 324".split()
-    assert [*map(two, speeds)] == "0.041 2.4 3.3 84 1200".split()
+    assert [*map(percent, shares)] == ["0", "0.0086", "1.5", "50", "99", "100", "100", "324"]
+    assert [*map(two, speeds)] == ["0.041", "2.4", "3.3", "84", "1200"]
 
 
 @table_of(__file__, "remarks", "problem, text")

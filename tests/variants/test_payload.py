@@ -14,6 +14,7 @@ from fmus.machine.work_cycle import STEMS, WITH_STEMS, payload
 from fmus.manipulator import VARIANTS
 from orchestrator import run
 
+
 @pytest.mark.parametrize("name", VARIANTS)
 def test_mass_that_is_dropped_gives_no_impulse(name):
     """While mass leaves every acceleration is that of the mass still held: leaving mass keeps its speed."""

@@ -30,7 +30,6 @@ from orchestrator.view.live import AHEAD, BIN, LOST, WINDOW, Credit, History, ex
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session, columns
 
-
 SHAPES = st.tuples(st.integers(1, 30), st.integers(1, 4))
 
 
