@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from fmus.controller.paths import COLUMNS, PATHS, Point, Route, controller_inputs, sample, start, start_angles
-from fmus.machine.parts import MACHINES
+from fmus.machine.parts import FERIC, MACHINES
 from fmus.machine.ssp import section_flows
 from orchestrator import Trace, run
 from orchestrator.base.errors import Problem
@@ -138,7 +138,7 @@ def areas(kind: str, share: float) -> dict[str, float]:
     """Start values: areas of the valves, or flows of the sections, over what the controller assumes."""
     if "compensated" in kind:
         own = ("swing.swing", "boom_stick.boom", "boom_stick.stick")
-        given = section_flows()
+        given = section_flows(FERIC, FERIC.controller)
         flows = {f"{n}_section_flow": given[f"controller.{n.split('.')[1]}_section_flow"] for n in own}
         return {n: share * v for n, v in flows.items()}
     return {f"{part}.valve_area": share * 4e-5 for part in DRIVES}

@@ -11,9 +11,8 @@ from orchestrator.results import validate_system
 def machine_in(folder, monkeypatch, fmu_dir):
     """A working directory with build/harvester.ssp; no ISO rating, whose library takes seconds to start."""
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(
-        validate_system, "validate_system", partial(validate_system.validate_system, rate=False)
-    )
+    unrated = partial(validate_system.validate_system, rate=False)
+    monkeypatch.setattr(validate_system, "validate_system", unrated)
     (folder / "build").mkdir()
     shutil.copy(fmu_dir / "harvester.ssp", "build")
     return folder

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kit.fmu import driving
+from kit.mistakes import problem
 from kit.toy import toy
 
 import fmus
 from fmus.contract import flat, nested, symbolic
 from fmus.parameters import numbers
-from orchestrator.base.errors import Problem
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +29,7 @@ def test_the_example_of_the_package_builds_and_runs(example, tmp_path):
     """A first order lag with its number in the code: 1 - exp(-t/T) after a step."""
     path = fmus.build(example["lag"], tmp_path)
     with driving(path, commanded=1.0) as fmu:
-        for _ in range(100):
-            fmu.step(0.01)
-        (level,) = fmu.get("level")
+        level = fmu.step(0.01, 100)["level"]
     # solver tolerance 1e-6 of the FMU
     assert level == pytest.approx(1 - np.exp(-1 / 0.5), rel=1e-5)
 
@@ -46,20 +44,14 @@ def test_numbers_in_the_code_are_told_as_such(example):
 def test_a_parameter_without_a_number_is_refused():
     """Neither file nor value: one line that names it."""
     sub = toy("empty", {"lag": fmus.Quantity("s", "Time constant")}, {}, {}, {}, None, None)
-    with pytest.raises(Problem, match=r"^empty: parameter lag of empty is missing$"):
-        fmus.values(replace(sub, values=None))
+    problem(lambda: fmus.values(replace(sub, values=None)), "^empty: parameter lag of empty is missing$")
 
 
 def test_several_become_one(example):
     """Two lags in a row: the second follows the first."""
-    lag = example["lag"]
-    both = fmus.compose(
-        "both",
-        "Two lags",
-        {"first": lag, "second": lag},
-        [("first.level", "second.commanded")],
-        {"commanded": ["first.commanded"]},
-    )
+    parts = dict.fromkeys(("first", "second"), example["lag"])
+    wires, inputs = [("first.level", "second.commanded")], {"commanded": ["first.commanded"]}
+    both = fmus.compose("both", "Two lags", parts, wires, inputs)
     assert list(fmus.quantities(both.states)) == ["first_level", "second_level"]
     dx, _ = symbolic(both).function()([0.5, 0.25], [1.0], list(fmus.values(both).p.values()))
     np.testing.assert_allclose(dx.full()[:, 0], [1.0, 0.5])
@@ -99,8 +91,8 @@ def test_two_variables_of_one_name_are_refused():
         pass
 
     for group, name in ((Cart, "front_speed"), (Both, "speed")):
-        with pytest.raises(Problem, match=f"^{group.__name__}: {name} is declared twice, expected different"):
-            fmus.quantities(group)
+        told = f"^{group.__name__}: {name} is declared twice, expected different"
+        problem(lambda group=group: fmus.quantities(group), told)
 
 
 def test_the_registry_holds_every_variant():

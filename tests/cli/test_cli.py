@@ -17,6 +17,11 @@ from orchestrator.base import files
 from orchestrator.base.files import require
 
 pytestmark = pytest.mark.usefixtures("here")
+SWING, STICK = "swing.swing_command", "boom_stick.stick_command"
+PROGRAMS = [
+    ("work_cycle", [], ()),
+    ("boom_up", ["--parameters", "boom_up"], (SWING, f"{SWING}_rate", STICK, f"{STICK}_rate")),
+]
 
 
 def test_build_makes_the_machine(built):
@@ -28,13 +33,6 @@ def test_build_makes_the_machine(built):
     printed = (built.parent / "machine.printed").read_text().splitlines()
     assert {Path(line.split()[0]) for line in printed} == {built / name for name in names}
     assert all((built / name).stat().st_size > 10_000 for name in names)
-
-
-SWING, STICK = "swing.swing_command", "boom_stick.stick_command"
-PROGRAMS = [
-    ("work_cycle", [], ()),
-    ("boom_up", ["--parameters", "boom_up"], (SWING, f"{SWING}_rate", STICK, f"{STICK}_rate")),
-]
 
 
 @pytest.mark.parametrize(("program", "chosen", "others"), PROGRAMS)
@@ -83,9 +81,8 @@ def test_signals_are_listed(capsys, fmu_dir):
     assert "from swing.swing_torque" in " ".join(" ".join(printed).split())
     assert main(["signals", "--kind", "parameter"]) == 0
     heads = [line for line in capsys.readouterr().out.splitlines() if line and not line.startswith(" ")]
-    assert heads == [
-        f"{name}: parameters" for name in ("manipulator", "supply", "boom_stick", "swing", "operator_input")
-    ]
+    parts = ("manipulator", "supply", "boom_stick", "swing", "operator_input")
+    assert heads == [f"{name}: parameters" for name in parts]
 
 
 def printed_json(capsys, *command):
@@ -142,15 +139,12 @@ def test_only_a_similar_file_is_proposed():
     """Of the same kind with most letters in common, or of another kind with the same name."""
     for name in ("other.csv", "open.csv"):
         Path("build", name).touch()
-    told = {
-        name: problem(lambda name=name: require(name, (".csv", ".parquet"))).removeprefix(f"{name}: ")
-        for name in ("nowhere.csv", "nope.parquet", "othr.parquet", "othr.csv", "othr", "other.parquet")
-    }
-    assert {name for name, text in told.items() if text == "no such file"} == {
-        "nowhere.csv", "nope.parquet", "othr.parquet"
-    }  # fmt: skip
-    meant = f"no such file; did you mean {Path('build/other.csv')}?"
-    assert {text for text in told.values() if text != "no such file"} == {meant}
+    meant = f"; did you mean {Path('build/other.csv')}?"
+    unlike, like = ("nowhere.csv", "nope.parquet", "othr.parquet"), ("othr.csv", "othr", "other.parquet")
+    for names, proposed in ((unlike, ""), (like, meant)):
+        for name in names:
+            told = problem(lambda name=name: require(name, (".csv", ".parquet")))
+            assert told == f"{name}: no such file{proposed}"
 
 
 @pytest.mark.parametrize("command", ["run", "validate"])
@@ -166,9 +160,8 @@ def test_a_machine_that_is_not_built_yet(capsys, command, monkeypatch):
 @table(__file__, "failing", "command, option")
 def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
     """A supply pressure beyond reason breaks the linkage: the record stays, the FMU's own words are told."""
-    Path("burst.csv").write_text(
-        "time,supply_pressure\n0,21e6\n0.1,21e6\n0.11,1e15\n0.5,1e15\n", encoding="utf-8"
-    )
+    rows = "time,supply_pressure\n0,21e6\n0.1,21e6\n0.11,1e15\n0.5,1e15\n"
+    Path("burst.csv").write_text(rows, encoding="utf-8")
     assert main([command, "--scenario", "burst.csv", *option]) == 2
     printed = capsys.readouterr()
     assert not Path("new/run.csv").exists()

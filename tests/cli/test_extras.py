@@ -37,6 +37,7 @@ sys.meta_path.insert(0, Refusing())
 {code}
 """
 COMMAND = "from orchestrator.__main__ import main\nsys.exit(main({arguments!r}))"
+packages = cache(packages_distributions)  # it reads the metadata of all packages: half a second
 EVERY = sorted({module for modules in EXTRAS.values() for module in modules})
 
 
@@ -46,9 +47,6 @@ def without(hidden, code, folder):
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"}
     command = [sys.executable, "-c", script]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, env=environment)
-
-
-packages = cache(packages_distributions)  # it reads the metadata of all packages: half a second
 
 
 def package_of(module):
@@ -166,8 +164,6 @@ def test_the_schemas_are_those_of_the_standard(path):
     theirs = Path(fmpy.__file__).parent / "schema" / path.relative_to(identity.FOLDER)
     assert theirs.read_bytes() == path.read_bytes()
 
-
-# ---- the wheel: built FMUs and compiled libraries
 
 # one system and two variants; all files together take long to compress
 SOME = ("harvester.ssp", "[bmos]*.fmu", "variants/swing_lumped.fmu", "variants/*_detailed.fmu")

@@ -24,9 +24,8 @@ def test_a_test_that_never_ends_is_named_with_its_stack(name: str, tmp_path: Pat
     file.write_text(HANGS[name] + "\n\ndef test_fine():\n    pass\n")
     limits = ["-o", "timeout=1", "-o", "faulthandler_timeout=3"]
     command = [sys.executable, "-m", "pytest", "-n", "1", "-c", str(ROOT / "pyproject.toml"), *limits]
-    ended = subprocess.run(
-        [*command, f"--basetemp={tmp_path / 'base'}", str(file)], capture_output=True, text=True, check=False
-    )
+    command += [f"--basetemp={tmp_path / 'base'}", str(file)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
     said = ended.stdout + ended.stderr
     assert ended.returncode == 1, said
     assert f"::test_{name} - " in said, said  # named, with the cause

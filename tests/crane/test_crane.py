@@ -58,13 +58,10 @@ def test_a_mistake_is_told_in_one_line(tmp_path, old, by, message):
 
 
 MOMENTS = "120 kNm, 120 kN m, 120000 Nm, 12.2366 t.m, 12.2366 tm, 12.2366 mt, 88507.5 ft.lbf, 88507.5 lb-ft"
+TURN = 2 * np.pi  # rad
 SHEETS = {  # key, and its value in SI units -> in the file of the loader, and as data sheets write it
     ("lifting_moment", 120e3): ("[supply]", "[datasheet]\nlifting_moment = {}\n[supply]", MOMENTS),
-    ("motor_displacement", 250e-6 / (2 * np.pi)): (
-        '"1.14e-3 m3/rad"',
-        "{}",
-        "250 ccm/rev, 250 cc/U, 0.25 L/rev",
-    ),
+    ("motor_displacement", 250e-6 / TURN): ('"1.14e-3 m3/rad"', "{}", "250 ccm/rev, 250 cc/U, 0.25 L/rev"),
     ("density", 870): ('"870 kg/m3"', "{}", "870 kg m-3, 0.87 t/m3, 54.3123 lb/ft3"),
 }
 
@@ -118,9 +115,8 @@ def test_other_names_make_a_machine(name):
 
 def test_all_mistakes_are_told_at_once(tmp_path):
     """Three mistakes in three tables; the rocker is unknown, and missing."""
-    path = changed(
-        tmp_path, ("mass = 370", 'mass = "370 m"'), ("rocker =", "roker ="), ('on = "grapple"', 'on = "x"')
-    )
+    three = ("mass = 370", 'mass = "370 m"'), ("rocker =", "roker ="), ('on = "grapple"', 'on = "x"')
+    path = changed(tmp_path, *three)
     with pytest.raises(Mistakes) as told:
         read(path)
     tables = [re.search(r"\[(.*?)\]", line)[1] for line in told.value.lines]
@@ -213,9 +209,8 @@ def test_the_loader_co_simulates_like_its_monolith(loader_folder, swap):
 def test_a_passive_joint_without_damping_is_a_warning(tmp_path):
     """A line below the tables, no mistake; the example has none."""
     path = changed(tmp_path, ("damping = 60\n\n[grapple]", "\n[grapple]"))
-    assert [line for line in told_of(read(path)).splitlines() if "warning" in line] == [
-        f"warning: {path}: [link] passive and without damping: it swings for ever"
-    ]
+    (line,) = (line for line in told_of(read(path)).splitlines() if "warning" in line)
+    assert line == f"warning: {path}: [link] passive and without damping: it swings for ever"
 
 
 def test_a_small_lever_is_a_warning_and_the_dead_point_ends_a_run(tmp_path):
@@ -246,23 +241,17 @@ def test_all_that_a_file_does_not_say_is_listed(tmp_path):
     told = [line for line in told_of(crane).splitlines() if line.startswith("assumed: ")]
     assert "assumed: [oil] viscosity 0.02 Pa.s" in told
     assert "assumed: [ground] stiffness 2e+06 N/m, damping 0.5 s/m, friction 0.6" in told
-    of = {
-        part: line for line in told for part in ("supply", "drives") if line.startswith(f"assumed: {part}, ")
-    }
-    for number in (
-        "pump_displacement 1.13e-05 m3/rad",
-        "engine_rated_torque 433 N.m",
-        "torque_limit 385 N.m",
-    ):
-        assert f", {number}" in of["supply"]
-    for number in ("air_share 0.005,", "valve_spool_frequency 8 Hz", "compensator_setting 1.2e+06 Pa"):
-        assert f", {number}" in of["drives"]
+    supply = ("pump_displacement 1.13e-05 m3/rad", "engine_rated_torque 433 N.m", "torque_limit 385 N.m")
+    drives = ("air_share 0.005,", "valve_spool_frequency 8 Hz", "compensator_setting 1.2e+06 Pa")
+    numbers = {"supply": supply, "drives": drives}
+    of = {part: line for line in told for part in numbers if line.startswith(f"assumed: {part}, ")}
+    assert all(f", {number}" in of[part] for part in numbers for number in numbers[part])
     built = crane_machine(crane)
     names = [n for sub in built.families["drives"].values() for n in values(sub).p]
     # each parameter of the drives without a joint's name is of the file, derived from it, zero, or listed
     rest = {n for n in names if n.partition("_")[0] not in ("slew", "boom", "jib", "extension")}
-    own = {"density", "viscosity", "bulk_modulus", "port_relief_pressure", "relief_pressure"}
-    own |= {"counterbalance_pressure", "counterbalance_band"}
+    own = {"density", "viscosity", "bulk_modulus", "counterbalance_band"}
+    own |= {f"{valve}_pressure" for valve in ("port_relief", "relief", "counterbalance")}
     zero = {n for sub in built.families["drives"].values() for n, x in values(sub).p.items() if not x}
     assert {n for n in rest - own - zero if f" {n} " not in of["drives"]} == set()
 
@@ -447,11 +436,8 @@ def test_any_crane_moves_as_in_pinocchio(pin, text, seed):
     rates = dict(zip(of.states, dx, strict=True))
     own = of.sub.model
     chain = own.chain(nested(own.parameters, of.p))
-    vectors = ("at", "centre", "inertia")
-    numbers = [
-        replace(link, mass=float(link.mass), **{n: floats(getattr(link, n)) for n in vectors})
-        for link in chain.links
-    ]
+    vectors = [{n: floats(getattr(link, n)) for n in ("at", "centre", "inertia")} for link in chain.links]
+    numbers = [replace(k, mass=float(k.mass), **v) for k, v in zip(chain.links, vectors, strict=True)]
     load = Payload(len(numbers) - 1, tuple(of.p[f"tip_at_{n}"] for n in "xyz"), x["held_mass"])
     tree, data = bodies(pin, numbers, [float(g) for g in chain.gravity], load)
     speeds = [f"{j.name}_speed" for j in crane.joints]

@@ -91,9 +91,8 @@ def test_a_telescope_whose_stages_go_in_step(reach):
     area, own = 2.4e7 * np.pi / 4, 40 * 0.9 + 30 * (2 + out) + 20 * (2 + 2.5 * out)
     by_boom = (area * 0.16**2 * lever / GRAVITY - own * np.cos(angle)) / reach
     sine = np.sin(angle)
-    along = (
-        area * np.where(sine > 0, 0.09**2, 0.09**2 - 0.06**2) / GRAVITY / np.maximum(np.abs(sine), 1e-9) - 80
-    ) / 2.5
+    square = np.where(sine > 0, 0.09**2, 0.09**2 - 0.06**2)
+    along = (area * square / GRAVITY / np.maximum(np.abs(sine), 1e-9) - 80) / 2.5
     expected = np.minimum(by_boom, along)[some].max()
     # 0.2 %: 400 000 angles, and the gravity of the file of the paper
     assert loads.at(reach) == pytest.approx(expected, rel=2e-3)
@@ -134,10 +133,10 @@ def test_a_slewing_motor_on_a_slope_limits_the_load():
     assert level[2] == pytest.approx(expected, rel=1e-4)  # gravity of the file of the paper
 
 
-@pytest.mark.parametrize(
-    ("slope", "slew", "mass"),
-    [('roll = "12 deg"', 0.0, 0), ('roll = "-7 deg"', 2.6, 50), ("pitch = 0.3", 1.1, 0)],
-)
+SLOPES = [('roll = "12 deg"', 0.0, 0), ('roll = "-7 deg"', 2.6, 50), ("pitch = 0.3", 1.1, 0)]
+
+
+@pytest.mark.parametrize(("slope", "slew", "mass"), SLOPES)
 def test_a_slewing_motor_holds_the_crane_on_a_slope(slope, slew, mass):
     """Moment of the weights about its axis, by hand: the arm is level, and the base leans to a side."""
     text = SLEWED.replace("6e-5", "2e-3") + STEPS.replace('on = "two"', f'on = "two"\nmass = {mass}')

@@ -29,6 +29,11 @@ def hose_drop(joint, flow):
 
 def test_speeds_are_in_balance_with_edges_hoses_friction_and_weight():
     """Of boom and telescope of the loader with spool valves, by bisection."""
+
+    def excess(v, joint, gain, filled, emptied, load, friction):
+        lost = (a * ((a * v / gain) ** 2 + hose_drop(joint, a * v)) for a in (filled, emptied))
+        return filled * 215e5 - sum(lost) - load - friction * v
+
     pose, axes = outputs_at_start(manipulator(crane())), checked()[1::2]
     for axis, speeds in zip(axes, full_speeds(crane(), axes, ["lumped"]).values(), strict=True):
         joint, lever = axis.joint, abs(axis.lever)
@@ -38,25 +43,16 @@ def test_speeds_are_in_balance_with_edges_hoses_friction_and_weight():
         friction = joint["piston_damping"] + joint["damping"] / lever**2
         sides = ((head, rod, weight), (rod, head, -weight))
         for (filled, emptied, load), speed in zip(sides, speeds["lumped"][:2], strict=True):
-
-            def excess(
-                v, filled=filled, emptied=emptied, load=load, joint=joint, friction=friction, gain=gain
-            ):
-                lost = (a * ((a * v / gain) ** 2 + hose_drop(joint, a * v)) for a in (filled, emptied))
-                return filled * 215e5 - sum(lost) - load - friction * v
-
+            numbers = joint, gain, filled, emptied, load, friction
             # 0.5 %: leakage of the valve, the laminar part of its flow, rounding of the hose's friction
-            assert speed * lever == pytest.approx(brentq(excess, 0, 5), rel=5e-3)
-
-
-FLOW = '''flow = "30 L/min", drop = "12 bar"'''
+            assert speed * lever == pytest.approx(brentq(excess, 0, 5, numbers), rel=5e-3)
 
 
 def rated():
     """The crane of `harvester crane new` with valves by their rated flow."""
     text = NEW.read_text(encoding="utf-8")
     for valve in ("25 mm2", "40 mm2"):
-        text = text.replace(f'valve = "{valve}"', FLOW)
+        text = text.replace(f'valve = "{valve}"', 'flow = "30 L/min", drop = "12 bar"')
     return text.encode()
 
 
@@ -108,9 +104,8 @@ def test_a_run_passes_the_start_pose_at_that_speed(loader_folder, rated_folder, 
     program = {"command": 10.0 * sign, "start": 0.02, "rise": 0.3, "hold": 20.0}
     given |= {f"operator_input.{axis}_1_{n}": x for n, x in program.items()}
     given[f"manipulator.initial_{found.joint.coordinate}"] = begin
-    result = run(
-        folder / f"{name}.ssp", swap=SWAPS[drives], set=given, stop=8.0 if motor else 2.0, record_step=5e-3
-    )
+    options = {"swap": SWAPS[drives], "set": given, "record_step": 5e-3}
+    result = run(folder / f"{name}.ssp", stop=8.0 if motor else 2.0, **options)
     place = forwards * result[f"manipulator.{found.joint.coordinate}"]
     passing = len(place) - 201 if motor else int(np.argmax(place > forwards * at))
     few = 200 if motor else 20  # samples: 1 s, or 0.1 s to both sides

@@ -17,6 +17,7 @@ from kit.mistakes import problem
 from fmus.contract import column, nested
 from fmus.controller import CONTROLLER
 from fmus.controller.arm import Cylindrical
+from fmus.controller.paths import write_route
 from fmus.crane.controller import controlled, hanging_sway, start_pose
 from fmus.crane.description import read
 from fmus.crane.machine import crane_machine, tracked
@@ -97,8 +98,7 @@ def test_weights_are_the_oil():
 
     Within 2 %: a share is added, and the ends of the strokes count a little.
     """
-    low, high = np.array([*RANGES.values()]).T
-    q = np.array([0.0, *(low + high) / 2])
+    q = np.array([0.0, *np.mean([*RANGES.values()], axis=1)])
     slopes, areas = [], []
     for k, name in enumerate(RANGES, 1):
         step = 1e-6 * (np.arange(4) == k)
@@ -157,8 +157,6 @@ def test_the_sway_of_a_grapple_is_the_mean_of_its_axes():
 @shards.machine
 def test_the_loader_draws_a_line(loader_folder, tmp_path):
     """4 m in its plane with boom, jib and extension moving, valves with hysteresis: within 10 mm."""
-    from fmus.controller.paths import write_route
-
     system = load(loader_folder / "loader_control.ssp")
     names, pose, _ = tracked(system, read_machine(PACKAGE / "controller/tracking.toml"))
     path, _ = write_route(["7.5,0,1", "3.5,0,1", "7.5,0,1"], 0.5, tmp_path)

@@ -15,10 +15,8 @@ def faulty(once):
 @pytest.fixture(scope="session")
 def fmu(once):
     """The diagnosis of the harvester alone."""
-    return (
-        once("diagnosis", lambda f: build_machine(f, (2,), only=("diagnosis",), faults=True))
-        / "diagnosis.fmu"
-    )
+    folder = once("diagnosis", lambda f: build_machine(f, (2,), only=("diagnosis",), faults=True))
+    return folder / "diagnosis.fmu"
 
 
 @pytest.fixture(scope="session")
@@ -26,14 +24,8 @@ def work():
     """Strokes to and fro of all functions, with rests, over 60 s; they end where they began."""
     time = np.arange(0, 60.01, 0.02)
     columns = {"time": time}
-    for axis, begin, size, period in (
-        ("swing", 0.5, 3.0, 6.0),
-        ("boom", 2.5, 3.0, 7.0),
-        ("stick", 4.0, 3.0, 8.0),
-    ):
+    for axis, begin, period in (("swing", 0.5, 6.0), ("boom", 2.5, 7.0), ("stick", 4.0, 8.0)):
         phase = (time - begin) % period
-        stroke = np.clip(np.minimum(phase, 1.2 - phase) / 0.3, 0, 1) - np.clip(
-            np.minimum(phase - 2.7, 3.9 - phase) / 0.3, 0, 1
-        )
-        columns[f"{axis}_lever"] = size * stroke * (time > begin)
+        there, back = (np.clip(np.minimum(phase - t, t + 1.2 - phase) / 0.3, 0, 1) for t in (0.0, 2.7))
+        columns[f"{axis}_lever"] = 3.0 * (there - back) * (time > begin)
     return columns

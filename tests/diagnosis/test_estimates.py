@@ -122,10 +122,8 @@ def test_a_horizontal_force_counts_as_generalised_least_squares_do(cylinders):
     zero = dict.fromkeys(("torque", "blocked", "empty_torque", "empty_momentum"), 0.0)
     known = {"speeds": 1.0, "effort": {"empty": Effort(0.0, 0.0)}, "p": SimpleNamespace(weighing_lag=1.0)}
     sound = (*[1.0] * cylinders, 0.0)
-    axes = [
-        SimpleNamespace(late_arm=h, sound=c, **zero, **known)
-        for h, c in zip((*levers, 7.0), sound, strict=True)
-    ]
+    arms = zip((*levers, 7.0), sound, strict=True)
+    axes = [SimpleNamespace(late_arm=h, sound=c, **zero, **known) for h, c in arms]
     load = Load(axes, SimpleNamespace(horizontal_square=force**2), None)
     rows = [([*c[:2]], c[2]) for c in (*columns, np.zeros(3))]
     calm = np.array([[float(v) for v in (*c, y)] for c, y in load.without_horizontal(rows)])

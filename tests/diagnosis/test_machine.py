@@ -14,7 +14,7 @@ from orchestrator import load, run
 from orchestrator.lanes.compiled import NotInLanes, compiled_model
 
 FOUND, BEGIN = findings(ARM, MANIPULATOR), 20.0
-DETAILED = MACHINES["detailed"]
+DETAILED, PUMPED = MACHINES["detailed"], {"supply": "engine_pump"}
 SENSING = {"swing": "compensated", "boom_stick": "compensated", "supply": "load_sensing"}
 
 
@@ -22,19 +22,10 @@ def told(folder, work, fault="", swap=None, parameters="nominal", stop=60.0, **g
     """When [s] each fault is told, and the result."""
     faults = {fault: given.pop("size")} if fault else {}
     names = [f"diagnosis.{n}{end}" for n in FOUND for end in ("", "_deviation", "_state")]
-    result = run(
-        folder / "harvester_sensors.ssp",
-        work,
-        stop=stop,
-        step=1e-3,
-        swap=swap or {},
-        parameters=[parameters],
-        fault={n: f"{v}@{BEGIN:g}s" for n, v in faults.items()},
-        record=[*names, "diagnosis.payload*", "manipulator.held_mass"],
-        record_step=0.01,
-        set={"sensors.pressure_delay": 0.01, **given},
-        yes=True,
-    )
+    options = {"record": [*names, "diagnosis.payload*", "manipulator.held_mass"], "record_step": 0.01}
+    options |= {"fault": {n: f"{v}@{BEGIN:g}s" for n, v in faults.items()}, "parameters": [parameters]}
+    options |= {"swap": swap or {}, "set": {"sensors.pressure_delay": 0.01, **given}, "yes": True}
+    result = run(folder / "harvester_sensors.ssp", work, stop=stop, step=1e-3, **options)
     found = {n: since(result, f"diagnosis.{n}_state") for n in FOUND}
     return {n: time for n, time in found.items() if time < np.inf}, result
 
@@ -99,9 +90,6 @@ def test_the_size_of_a_leak_is_within_its_interval(faulty, work):
     assert deviation < 1e-7
 
 
-PUMPED = {"supply": "engine_pump"}
-
-
 @shards.machine
 @pytest.mark.parametrize(
     ("swap", "fault", "size", "named"),
@@ -117,10 +105,8 @@ def test_wear_is_told_of_a_machine_that_was_learned(faulty, work, swap, fault, s
 
     Lags of single strokes scatter by as much as a filter adds, and the pressure of a pump by 0.3 bar.
     """
-    again = {
-        n: np.concatenate([c, *(c[1:] + k * (60.0 if n == "time" else 0) for k in (1, 2))])
-        for n, c in work.items()
-    }
+    later = {n: 60.0 if n == "time" else 0.0 for n in work}
+    again = {n: np.concatenate([c, *(c[1:] + k * later[n] for k in (1, 2))]) for n, c in work.items()}
     given = {"swap": swap, "stop": 180.0, "parameters": "compensated" if swap == SENSING else "nominal"}
     warm = {"supply.oil_temperature_start": 333.15} if swap else {}
     _, healthy = told(faulty, again, **given, **warm)

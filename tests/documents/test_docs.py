@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-DOCUMENTS = sorted(
-    p for p in ROOT.rglob("*.md") if not {".venv", "build", "node_modules"} & set(p.relative_to(ROOT).parts)
-)
+LEFT_OUT = {".venv", "build", "node_modules"}
+DOCUMENTS = sorted(p for p in ROOT.rglob("*.md") if not LEFT_OUT & set(p.relative_to(ROOT).parts))
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))

@@ -59,15 +59,8 @@ def clone(tmp_path):
 def ran(folder, *command):
     """What a command prints that must succeed; no environment is active."""
     environment = {name: value for name, value in os.environ.items() if name != "VIRTUAL_ENV"}
-    done = subprocess.run(
-        command,
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "check": False}
+    done = subprocess.run(command, cwd=folder, env=environment, **options)
     assert done.returncode == 0, done.stdout
     return done.stdout
 

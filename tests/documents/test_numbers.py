@@ -42,23 +42,17 @@ def test_the_table_of_held_out_machines_is_that_of_their_results():
 
 def test_a_case_of_the_held_out_machines_runs(built, monkeypatch):
     """Each measure of a short case of the tuning's seed is a number, and the accuracy is reached."""
-    monkeypatch.setattr(
-        held_out.open_job, "time", held_out.open_job.time
-    )  # the benchmark counts processor time
+    monkeypatch.setattr(held_out.open_job, "time", held_out.open_job.time)  # it counts processor time
     found = held_out.outcome(held_out.TUNING, 7, built, with_cost=False)
     assert not found.why
     assert 0.0 < found.error <= found.asked
-    assert found.estimate > 0.0
-    assert found.cpu > 0.0
-    assert found.runs > 0
-    assert found.steps > 0
+    assert all(number > 0 for number in (found.estimate, found.cpu, found.runs, found.steps))
 
 
 def test_readme_tells_how_near_the_tip_stays():
     """The largest errors with feedback in docs/control.md, which is run, rounded up to millimetres."""
-    rows = re.findall(
-        r"^\w+ +(lumped|detailed) +yes +([\d.]+)", (ROOT / "docs/control.md").read_text(), re.MULTILINE
-    )
+    page = (ROOT / "docs/control.md").read_text()
+    rows = re.findall(r"^\w+ +(lumped|detailed) +yes +([\d.]+)", page, re.MULTILINE)
     largest = {machine: max(float(error) for m, error in rows if m == machine) for machine, _ in rows}
     lumped, detailed = told("README.md", r"within (\d+) mm; detailed drives: (\d+) mm")
     assert 0 <= lumped - largest["lumped"] < 1
@@ -69,10 +63,8 @@ def test_readme_tells_how_near_the_tip_stays():
 def test_readme_tells_the_error_with_rate_ports(built):
     """A plain Jacobi master at 1 ms over the work cycle: the worst joint speed, against the reference."""
     reference = read_recording(ROOT / "data/reference/work_cycle.csv")
-    result = run(
-        load(built / "harvester.ssp"), ROOT / "data/scenarios/work_cycle.csv", master="jacobi", step=1e-3
-    )
-    outcome = validate(result, reference)
+    system, scenario = load(built / "harvester.ssp"), ROOT / "data/scenarios/work_cycle.csv"
+    outcome = validate(run(system, scenario, master="jacobi", step=1e-3), reference)
     errors = [outcome[f"manipulator.{joint}_speed"].metrics.nrmse for joint in ("swing", "boom", "stick")]
     (percent,) = told("README.md", r"at 1 ms has an error of at most ([\d.]+) %")
     # of the last digit; other compilers round otherwise
@@ -88,9 +80,8 @@ def test_the_equations_tell_the_numbers_of_the_opening_curve(monkeypatch, tmp_pa
     printed = capsys.readouterr().out
     negative = re.search(r"^polynomial of degree (\d+):.* (\d+)% negative", printed, re.MULTILINE)
     ratio = re.search(r"^ln C_R.* by ([\d.]+) to ([\d.]+) of", printed, re.MULTILINE)
-    assert [*map(float, negative.groups())] == told(
-        "docs/equations.md", r"of degree (\d+).* on (\d+) % of that"
-    )
+    shown = told("docs/equations.md", r"of degree (\d+).* on (\d+) % of that")
+    assert [*map(float, negative.groups())] == shown
     error = max(abs(1 - float(value)) for value in ratio.groups())
     assert [round(100 * error)] == told("docs/equations.md", r"errs by up to (\d+) %")
 
@@ -117,9 +108,8 @@ def test_the_equations_tell_the_viscosity_and_the_efficiency_of_a_pump():
         density = 1 / (1 + 7e-4 * (celsius - 60))
         assert m == pytest.approx(walther(celsius) / usual * density, rel=5e-3)
     script = names_of(ROOT / "docs/pump_efficiency.py")
-    for celsius, bar, stroke, *shown in rows(
-        "docs/equations.md", "|oil, pressure, stroke|model|measured pump|"
-    ):
+    table = rows("docs/equations.md", "|oil, pressure, stroke|model|measured pump|")
+    for celsius, bar, stroke, *shown in table:
         point = (np.array([bar * 1e5]), np.array([stroke]), celsius)
         assert shown == pytest.approx([script[n](*point)[0] for n in ("ours", "measured")], abs=5.1e-4)
 

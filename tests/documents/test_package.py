@@ -31,6 +31,7 @@ from orchestrator.base.extras import EXTRAS, NO_WHEEL
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+VERSIONS = {"tested": ["-c", "constraints.txt"], "newest": ["--prerelease", "if-necessary"]}
 # platform of uv: system and processor as Python names them
 PLATFORMS = {
     "x86_64-manylinux_2_28": ("Linux", "x86_64"),
@@ -58,9 +59,6 @@ def resolve():
     if done.returncode:
         pytest.skip(f"no package index: {done.stderr.strip()[:300]}")
     return resolve
-
-
-VERSIONS = {"tested": ["-c", "constraints.txt"], "newest": ["--prerelease", "if-necessary"]}
 
 
 def _shard(where: str, python: str, versions: str) -> Any:
@@ -110,12 +108,8 @@ def test_the_table_of_extras_in_the_readme():
 def test_the_lock_has_the_tested_versions_with_hashes():
     """`make constraints` writes both files; each package of lock.txt has the SHA-256 of its files."""
     locked = [line.partition("--hash=sha256:") for line in text("lock.txt").replace("\\\n", "").splitlines()]
-    assert [version.strip() for version, _, hashes in locked if hashes] == text(
-        "constraints.txt"
-    ).splitlines()
-
-
-# ---- metadata
+    versions = [version.strip() for version, _, hashes in locked if hashes]
+    assert versions == text("constraints.txt").splitlines()
 
 
 @pytest.fixture(scope="module")
@@ -161,15 +155,10 @@ def test_notices_are_in_the_wheel(tmp_path):
     list(WheelBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"]))
     with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
         names = wheel.namelist()
-    assert (
-        len([name for name in names if name.endswith("/NOTICES.md")]) == 2
-    )  # next to the code, in dist-info
+    assert sum(name.endswith("/NOTICES.md") for name in names) == 2  # next to the code, in dist-info
     own = [name for name in names if re.fullmatch(r"fmus/LICENSE|.*\.dist-info/.*", name)]
     licences = [name for name in {*names} - {*own} if Path(name).stem == "LICENSE"]
     assert [name for name in licences if name.rpartition("/")[0] not in text("NOTICES.md")] == []
-
-
-# ---- reference
 
 
 def test_every_public_name_is_in_the_reference():

@@ -36,14 +36,14 @@ pytestmark = shards.browser
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
 TIME = np.linspace(0.0, 4.0, 801)
 LIMIT, ABOUT = Tolerance("nrmse", 0.05), {"kind": "simulation"}
+PLOT = "() => document.querySelector('.plot').plot"
+RANGE, CHARTS = f"{PLOT}.range", f"{PLOT}.charts.map(({{plot}}) => plot.%s)"
 
 
 def run(offset: float) -> Trace:
     """Angle and pressure over 4 s."""
-    signals = {
-        "arm.angle": np.sin(TIME) + offset,
-        "pump.pressure": 1e7 + 1e6 * np.cos(9 * TIME) + 1e5 * offset,
-    }
+    pressure = 1e7 + 1e6 * np.cos(9 * TIME) + 1e5 * offset
+    signals = {"arm.angle": np.sin(TIME) + offset, "pump.pressure": pressure}
     return Trace(TIME, signals, {"arm.angle": "rad", "pump.pressure": "Pa"})
 
 
@@ -51,12 +51,10 @@ def validated() -> str:
     """A report with everything on it."""
     known = run(0.0)
     criteria = {name: Criterion(tolerance=LIMIT, group=name.partition(".")[2]) for name in known.signals}
-    reference = Recording(
-        TIME, known.signals, known.units, Path("ref.csv"), criteria=criteria, metadata=ABOUT
-    )
-    spec = FigureSpec(
-        "Arm", (PanelSpec("Angle", ("arm.angle",)), PanelSpec("Pressure", ("pump.pressure",), ("head",)))
-    )
+    about = {"criteria": criteria, "metadata": ABOUT}
+    reference = Recording(TIME, known.signals, known.units, Path("ref.csv"), **about)
+    panels = PanelSpec("Angle", ("arm.angle",)), PanelSpec("Pressure", ("pump.pressure",), ("head",))
+    spec = FigureSpec("Arm", panels)
     checked = validate(run(0.01), reference, rate=False)
     return report(Report("Arm", checked, (spec,), run(0.01), {"step [s]": 0.001}))
 
@@ -67,13 +65,17 @@ def studied() -> str:
     return study(found, analyse(found))
 
 
+def identified() -> str:
+    """An identification with a figure and a warning."""
+    figures = (("Swing", samples.traces(), "Measured."),)
+    return identification(samples.page(figures=figures, warnings=("At a bound.",)))
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "report": validated,
     "comparison": lambda: comparison(compare({"usual": run(0.0), "other": run(0.01), "third": run(0.02)})),
     "study": studied,
-    "identification": lambda: identification(
-        samples.page(figures=(("Swing", samples.traces(), "Measured."),), warnings=("At a bound.",))
-    ),
+    "identification": identified,
 }
 
 
@@ -125,9 +127,8 @@ def drawn(page: Any) -> None:
     for host in page.locator(".plot").all():
         host.scroll_into_view_if_needed()
         host.locator(".live canvas").first.wait_for()
-    page.wait_for_function(
-        "() => [...document.querySelectorAll('.plot')].every(h => h.classList.contains('drawn'))"
-    )
+    every = "every(h => h.classList.contains('drawn'))"
+    page.wait_for_function(f"() => [...document.querySelectorAll('.plot')].{every}")
 
 
 def violations(page: Any) -> list[str]:
@@ -140,9 +141,7 @@ def violations(page: Any) -> list[str]:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_is_accessible_and_asks_for_nothing(
-    name: str, scheme: str, files: Callable[[str], str], opened: Callable[..., Any]
-) -> None:
+def test_a_page_is_accessible_and_asks_for_nothing(name: str, scheme: str, files: Any, opened: Any) -> None:
     """No violation of WCAG 2.1 AA by axe-core, all details open; no error, no request but for the file."""
     page = opened(files(name), scheme)
     drawn(page)
@@ -171,9 +170,7 @@ def test_the_operators_page_is_accessible(scheme: str, view: str, opened: Callab
 
 @pytest.mark.parametrize("width", [420, 1100, 1400])
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_fits_into_the_window(
-    name: str, width: int, files: Callable[[str], str], opened: Callable[..., Any]
-) -> None:
+def test_a_page_fits_into_the_window(name: str, width: int, files: Any, opened: Any) -> None:
     """Nothing is wider than the window but tables, which scroll in themselves."""
     page = opened(files(name), width=width)
     drawn(page)
@@ -221,12 +218,6 @@ def test_every_colour_has_contrast() -> None:
         assert contrast >= limit, f"{name}: {contrast:.2f}"
 
 
-RANGE = "() => document.querySelector('.plot').plot.range"
-SHOWN = (
-    "() => document.querySelector('.plot').plot.charts.map(({plot}) => plot.series.slice(1).map(s => s.show))"
-)
-
-
 def test_a_plot_is_zoomed_by_keys(files: Callable[[str], str], opened: Callable[..., Any]) -> None:
     """Tab reaches skip link and toolbar; buttons zoom, shift, reset and hide a curve; the slider reads."""
     page = opened(files("report"))
@@ -257,7 +248,7 @@ def test_a_plot_is_zoomed_by_keys(files: Callable[[str], str], opened: Callable[
     assert float(number) == pytest.approx(np.degrees(np.sin(4.0)), 1e-3)
     page.keyboard.press("Tab")
     page.keyboard.press("Space")
-    assert page.evaluate(SHOWN)[0] == [False, True]
+    assert page.evaluate(CHARTS % "series.slice(1).map(s => s.show)")[0] == [False, True]
 
 
 def test_a_plot_is_zoomed_by_the_mouse(files: Callable[[str], str], opened: Callable[..., Any]) -> None:
@@ -273,9 +264,7 @@ def test_a_plot_is_zoomed_by_the_mouse(files: Callable[[str], str], opened: Call
     page.mouse.up()
     # a pixel of some 900 is 4 ms
     assert page.evaluate(RANGE) == pytest.approx([1.0, 2.0], abs=0.02)
-    scales = page.evaluate(
-        "() => document.querySelector('.plot').plot.charts.map(({plot}) => plot.scales.x.min)"
-    )
+    scales = page.evaluate(CHARTS % "scales.x.min")
     assert scales == pytest.approx([page.evaluate(RANGE)[0]] * len(scales))
     over.dblclick()
     assert page.evaluate(RANGE) == pytest.approx([0.0, 4.0], abs=1e-5)
@@ -285,9 +274,8 @@ def test_paper_has_the_still_pictures(files: Callable[[str], str], opened: Calla
     """Printed, or without scripts, a figure is its SVG; on the screen it is the plot."""
     page = opened(files("report"))
     drawn(page)
-    shown = (
-        "() => ['.still', '.live'].map(c => getComputedStyle(document.querySelector(c)).display !== 'none')"
-    )
+    shown = "c => getComputedStyle(document.querySelector(c)).display !== 'none'"
+    shown = f"() => ['.still', '.live'].map({shown})"
     assert page.evaluate(shown) == [False, True]
     page.emulate_media(media="print")
     assert page.evaluate(shown) == [True, False]
@@ -334,9 +322,8 @@ def test_a_still_picture_has_its_curves_where_they_belong() -> None:
     time = np.arange(5.0)
     figure = TraceFigure([TracePanel("m3/s", [TraceLine(time, values, {"color": "#000000"})], "Flow")])
     text = str(still(figure, "Flow"))
-    ticks = {
-        label: float(y) for y, label in re.findall(r'y="([\d.]+)" text-anchor="end">(\S+?)</text>', text)
-    }
+    labels = re.findall(r'y="([\d.]+)" text-anchor="end">(\S+?)</text>', text)
+    ticks = {label: float(y) for y, label in labels}
     path = re.search(r'd="(M[^"]*)" fill="none" stroke="#000000"', text)[1]
     (x, y), (dx, dy) = (map(float, pair) for pair in re.findall(r"(-?[\d.]+) ?(-?[\d.]+)", path)[:2])
     # tenths of a unit of the drawing; the tick label stands 4 units below its line
@@ -355,9 +342,8 @@ def test_ticks_are_round_and_inside(low: float, high: float) -> None:
     for value, label in ticks:
         assert low <= value <= high
         # labels have no more digits than the step needs
-        assert float(label.replace("\N{MINUS SIGN}", "-")) * 10.0**power == pytest.approx(
-            value, abs=1e-3 * (high - low)
-        )
+        told = float(label.replace("\N{MINUS SIGN}", "-")) * 10.0**power
+        assert told == pytest.approx(value, abs=1e-3 * (high - low))
 
 
 def test_vendored_files_are_those_of_their_authors() -> None:
@@ -365,9 +351,8 @@ def test_vendored_files_are_those_of_their_authors() -> None:
     folder = figures.VENDOR.parent
     table = (folder / "README.md").read_text(encoding="utf-8")
     listed = dict(re.findall(r"^\| (\S+/\S+) \|.*\| ([0-9a-f]{64}) \|$", table, re.MULTILINE))
-    found = {
-        f.relative_to(folder).as_posix(): f for f in folder.rglob("*") if f.is_file() and f.parent != folder
-    }
+    inside = (f for f in folder.rglob("*") if f.is_file() and f.parent != folder)
+    found = {f.relative_to(folder).as_posix(): f for f in inside}
     assert listed.keys() == found.keys()
     for name, file in found.items():
         assert hashlib.sha256(file.read_bytes()).hexdigest() == listed[name], name

@@ -10,14 +10,11 @@ from kit.tutorial import Page
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("docs/tutorials", "docs", "examples/*", "fmus", "fmus/*", "orchestrator")
-NAMES = sorted(
-    str(p.relative_to(ROOT))
-    for p in (ROOT / "README.md", *(p for folder in FOLDERS for p in ROOT.glob(f"{folder}/*.md")))
-)
+FILES = (ROOT / "README.md", *(p for folder in FOLDERS for p in ROOT.glob(f"{folder}/*.md")))
+NAMES = sorted(str(p.relative_to(ROOT)) for p in FILES)
 PAGES = [name for name in NAMES if any(True for _ in Page(ROOT / name, ROOT).units())]
-TUTORIALS = [
-    name for name in PAGES if name.startswith("docs/tutorials") and "```shell" in (ROOT / name).read_text()
-]
+TUTORIALS = [n for n in PAGES if n.startswith("docs/tutorials") and "```shell" in (ROOT / n).read_text()]
+PLAIN = [name for name in PAGES if name not in TUTORIALS]
 QUICK = {"fmus/swing/README.md", "fmus/boom_stick/README.md", "orchestrator/README.md"}
 # what the Python of a page leaves: names, and as `printed` the output of the last block
 LEFT = {
@@ -38,10 +35,7 @@ def copy(built, tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    "page",
-    [n if n in QUICK else pytest.param(n, marks=shards.documents) for n in PAGES if n not in TUTORIALS],
-)
+@pytest.mark.parametrize("page", shards.few(QUICK, PLAIN, shards.documents))
 def test_a_page_runs_as_printed(page, copy):
     """Commands end with status 0, or as printed; text right after them is what they print."""
     reader = Page(ROOT / page, copy)

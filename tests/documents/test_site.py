@@ -19,11 +19,9 @@ pytestmark = shards.documents
 
 ROOT = Path(__file__).parents[2]
 # those of docs/reference are filled in by the site
-DOCUMENTS = sorted(
-    p.relative_to(ROOT).as_posix()
-    for p in ROOT.rglob("*.md")
-    if not re.match(r"(\.|build/|docs/reference/|orchestrator/pages/vendor/)", p.relative_to(ROOT).as_posix())
-)
+LEFT_OUT = r"(\.|build/|docs/reference/|orchestrator/pages/vendor/)"
+NAMES = (p.relative_to(ROOT).as_posix() for p in ROOT.rglob("*.md"))
+DOCUMENTS = sorted(name for name in NAMES if not re.match(LEFT_OUT, name))
 FETCHING = "//script/@src | //img/@src | //iframe/@src | //source/@src | //link[@rel != 'canonical']/@href"
 
 
@@ -79,9 +77,8 @@ def test_nothing_comes_from_other_servers(site, pages):
     for name, page in pages.items():
         assert [u for u in page.xpath(FETCHING) if re.match(r"(https?:)?//", u)] == [], name
     for style in site.rglob("*.css"):
-        assert not re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", style.read_text(encoding="utf-8")), (
-            style
-        )
+        text = style.read_text(encoding="utf-8")
+        assert not re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", text), style
 
 
 def test_the_reference_is_complete(pages):
@@ -140,10 +137,8 @@ def test_the_search_works_in_a_page_opened_as_a_file(site, chromium):
     page.wait_for_function("document.querySelector('.search-summary').innerText.includes('found')")
     found = page.eval_on_selector_all("#search-results li a", "links => links.map((link) => link.pathname)")
     page.close()
-    ranks = {
-        kind: [k for k, link in enumerate(found) if kind in link] for kind in ("docs/equations", "/api/")
-    }
-    assert max(ranks["docs/equations"]) < min(ranks["/api/"])
+    physics, python = ([k for k, x in enumerate(found) if kind in x] for kind in ("docs/equations", "/api/"))
+    assert max(physics) < min(python)
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:", "about:"))] == []
     assert faults == []
 

@@ -49,10 +49,7 @@ def test_a_page_runs_what_is_not_marked(tmp_path):
         ("    python -c 'print(1)'\n\n```text\n2\n```\n", "2 is shown"),
         ("<!-- not run: never ends -->\n\n    python -c 'exit(1)'\n", ""),
         ("<!-- not run: never ends -->\n\nText.\n\n    python -c 'exit(1)'\n", "status 1"),
-        (
-            "<!-- not run: `python -c 'x'`, wrong -->\n\n    python -c 'x'\n    python -c 'exit(1)'\n",
-            "status 1",
-        ),
+        ("<!-- not run: `python -c 'x'`, no -->\n\n    python -c 'x'\n    python -c 'exit(1)'\n", "status 1"),
         ("<!-- not run: `make`, not there -->\n\n    python -c 'exit(0)'\n", "not there"),
         ("    python -c 'exit(1)'  # status 1: as it is\n", ""),
     ):

@@ -20,9 +20,8 @@ def script(chromium: Any) -> Iterator[Script]:
     page.set_content(f'<script type="importmap">{json.dumps({"imports": addresses})}</script>')
 
     def value(module: str, expression: str, argument: object = None) -> Any:
-        return page.evaluate(
-            f"async (a) => {{ const m = await import('drive/{module}.js'); return {expression}; }}", argument
-        )
+        imported = f"const m = await import('drive/{module}.js')"
+        return page.evaluate(f"async (a) => {{ {imported}; return {expression}; }}", argument)
 
     yield value
     page.close()

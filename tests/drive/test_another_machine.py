@@ -38,9 +38,8 @@ def loader(folder: Path) -> Subsystem:
     numbers = {"pivot_height": 1.2, "arm_length": 2.5} | {f"{name}_start": at for name, at in START.items()}
     units = {name: "m" for name in ("pivot_height", "arm_length")}
     units |= {f"{name}_start": unit for name, unit in JOINTS.items()}
-    outputs = {f"{name}_seen": unit for name, unit in JOINTS.items()} | dict.fromkeys(
-        ("end_x", "end_y", "end_z"), "m"
-    )
+    outputs = {f"{name}_seen": unit for name, unit in JOINTS.items()}
+    outputs |= dict.fromkeys(("end_x", "end_y", "end_z"), "m")
     outputs |= dict.fromkeys(("outwards_velocity", "rising_velocity"), "m/s")
     outputs |= dict.fromkeys(("mast_speed", "lift_speed"), "rad/s")
 
@@ -56,16 +55,10 @@ def loader(folder: Path) -> Subsystem:
         seen["rising_velocity"] = rates["extension"] * ca.sin(x.lift) + out * rates["lift"]
         return seen | {"mast_speed": rates["mast"], "lift_speed": rates["lift"]}
 
-    sub = toy(
-        "loader",
-        {name: Quantity(units[name], "of the loader", value=value) for name, value in numbers.items()},
-        JOINTS,
-        dict.fromkeys(LEVERS, "1"),
-        outputs,
-        lambda _x, u, _p: speeds(u),
-        observe,
-        initial=lambda _x, _u, p: {name: getattr(p, f"{name}_start") for name in JOINTS},
-    )
+    p = {name: Quantity(units[name], "of the loader", value=value) for name, value in numbers.items()}
+    groups = p, JOINTS, dict.fromkeys(LEVERS, "1"), outputs
+    initial = {"initial": lambda _x, _u, p: {name: getattr(p, f"{name}_start") for name in JOINTS}}
+    sub = toy("loader", *groups, lambda _x, u, _p: speeds(u), observe, **initial)
     (folder / "view.toml").write_bytes(VIEW.read_bytes())
     declared = parameters.numbers(replace(sub, values=None))
     return replace(sub, values=folder / "parameters.toml", numbers=declared)
@@ -113,9 +106,8 @@ def test_drawn(opened: Opened) -> None:
     # exact identity, rounding only
     assert opened.ask("scene.rig.tip") == pytest.approx([values[f"end_{axis}"] for axis in "xyz"], abs=1e-12)
     opened.page.get_by_role("button", name="mirrored").click()
-    words = opened.ask(
-        "levers.screen.map((s) => [...s.svg.querySelectorAll('text')].map((t) => t.textContent))"
-    )
+    texts = "[...s.svg.querySelectorAll('text')].map((t) => t.textContent)"
+    words = opened.ask(f"levers.screen.map((s) => {texts})")
     assert words[0] == ["lower", "raise", "(no grip)", "(no grip)"]
     assert opened.complaints == []
 

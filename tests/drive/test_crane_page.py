@@ -112,9 +112,6 @@ def test_wheels_as_in_real_time(script: Any, view: ViewDescription) -> None:
             assert len(found) == 6
 
 
-# ---- hands
-
-
 @pytest.fixture(scope="module")
 def opened(chromium: Any, crane: CraneDescription, view: ViewDescription) -> Iterator[tuple[Server, Any]]:
     """A server with a stand-in for the crane, and a page that drives."""
@@ -154,11 +151,8 @@ def test_six_functions_at_once(opened: tuple[Server, Any]) -> None:
     """All six are held by keys; those that are released rest, and without the dead-man all do."""
     server, page = opened
     board, names = page.keyboard, ["Space", *HELD]
-    held(
-        lambda: [board.down(n) for n in names],
-        lambda: [board.up(n) for n in names],
-        lambda: commanded(server) == dict(HELD.values()),
-    )
+    press, release = (lambda to=to: [to(n) for n in names] for to in (board.down, board.up))
+    held(press, release, lambda: commanded(server) == dict(HELD.values()))
     for key in ("u", "a"):
         board.up(key)
     left = dict(pair for key, pair in HELD.items() if key not in ("u", "a"))
@@ -191,16 +185,11 @@ def test_wheels_by_hand(opened: tuple[Server, Any]) -> None:
     page.evaluate(press, False)
     assert not until(lambda: commanded(server) != {}, 0.3)
     wanted = {"extension": 6, "grapple": -6}
-    held(
-        lambda: page.evaluate(press, True),
-        lambda: page.evaluate(press, False),
-        lambda: commanded(server) == wanted,
-    )
+    bumper = (lambda on=on: page.evaluate(press, on) for on in (True, False))
+    held(*bumper, lambda: commanded(server) == wanted)
     page.evaluate(press, False)
     assert until(lambda: commanded(server) == {})
 
-
-# ---- the mesh
 
 SHOWN = """(() => { const rig = new m.Rig({}, a.machine, "#000"); return a.values.map((row) => {
   rig.show(row, {}, true);
@@ -249,9 +238,8 @@ def test_a_node_has_a_place(tmp_path: Path) -> None:
     # a quarter turn about z of the file: x to y, y to -x
     np.testing.assert_allclose([found.min(axis=0), found.max(axis=0)], [[8, -3, 0], [10, 0, 2]], atol=1e-6)
     matrix = [0, 2, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 10, 0, 0, 1]
-    np.testing.assert_allclose(
-        points(box((0, 0, 0), (1, 2, 3), matrix=matrix), tmp_path)[1], found, atol=1e-6
-    )
+    _, same = points(box((0, 0, 0), (1, 2, 3), matrix=matrix), tmp_path)
+    np.testing.assert_allclose(same, found, atol=1e-6)
 
 
 def test_a_damaged_mesh_is_a_problem(tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.driven_page import PAD, SECTION, Opened, assert_same_motion, hold
+from kit.mistakes import problem
 
 from fmus.machine.build import data
-from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.drive import page as drive_page
@@ -267,12 +267,11 @@ def test_replay_then_drive(opened: Any) -> None:
 def test_a_failure_is_said(opened: Any) -> None:
     """A call that the FMU refuses stops the machine with the FMU's own words."""
     page = opened("drive")
-    page.page.evaluate(
-        f"() => {{ {SECTION}.sources.drive.simulation.axes[0].limit = null; {SECTION}.choose('drive'); }}"
-    )
-    page.page.evaluate(
-        f"() => {{ {SECTION}.source.commanded = () => ({{ swing_command: NaN }}); {SECTION}.run(true); }}"
-    )
+    for first, then in (
+        ("sources.drive.simulation.axes[0].limit = null", "choose('drive')"),
+        ("source.commanded = () => ({ swing_command: NaN })", "run(true)"),
+    ):
+        page.page.evaluate(f"() => {{ {SECTION}.{first}; {SECTION}.{then}; }}")
     page.page.wait_for_selector(".hm-said:not(:empty)")
     assert re.search("swing_command cannot be set to -?nan", page.page.locator(".hm-said").inner_text())
 
@@ -318,8 +317,8 @@ def test_which_fmu(fmu_dir: Path, fmi3_dir: Path, tmp_path: Path) -> None:
     lonely.write_bytes((fmu_dir / "harvester.ssp").read_bytes())
     assert find_fmu(lonely) is None
     assert fragment(lonely) == ""
-    with pytest.raises(Problem, match=r"expected harvester\.fmu of FMI 3\.0 with a WebAssembly module"):
-        write_page(tmp_path / "machine.html", lonely, "")
+    told = r"expected harvester\.fmu of FMI 3\.0 with a WebAssembly module"
+    problem(lambda: write_page(tmp_path / "machine.html", lonely, ""), told)
     cycle = read_recording(data("reference/work_cycle.csv")).without_gaps()
     alone = fragment(lonely, Replayed(cycle))
     assert 'data-part="module"' not in alone, "without the module it only replays"

@@ -16,17 +16,15 @@ from orchestrator.drive.view_description import CAVITATION
 pytestmark = shards.browser
 DATA = json.loads(json.dumps(page_data(DESCRIPTION, None)))
 GAUGES = {line["name"]: line for group in DATA["gauges"] for line in group["lines"]}
+NOW = {"state": "running", "time": 1.0, "factor": 1.0, "values": {}, "drives": True, "message": ""}
 
 
 def test_figures(script: Any) -> None:
     """Numbers come in the units that people read, bars begin at zero, what is not known is a dash."""
 
     def figure(name: str, value: float) -> Any:
-        return script(
-            "panels",
-            "m.figure(a[0], a[1] ?? NaN, a[2])",
-            [GAUGES[name], None if math.isnan(value) else value, CAVITATION],
-        )
+        asked = [GAUGES[name], None if math.isnan(value) else value, CAVITATION]
+        return script("panels", "m.figure(a[0], a[1] ?? NaN, a[2])", asked)
 
     supply = figure("supply_pressure", 20.68e6)
     assert (supply["text"], supply["begin"], round(supply["end"], 3)) == ("20.7", 0.0, 0.827)
@@ -53,10 +51,10 @@ def test_a_bar_without_ends_grows(script: Any) -> None:
         assert (found["low"], found["high"], found["digits"]) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(
-    ("pressure", "expected"),
-    [("-1e5", SCALE[0]), ("9e7", SCALE[-1]), ("NaN", UNKNOWN), ("Infinity", UNKNOWN)],
-)
+COLOURS = {"-1e5": SCALE[0], "9e7": SCALE[-1], "NaN": UNKNOWN, "Infinity": UNKNOWN}
+
+
+@pytest.mark.parametrize(("pressure", "expected"), COLOURS.items())
 def test_colours_at_the_ends(script: Any, pressure: str, expected: str) -> None:
     """What is beyond the scale has the colour of its end, what is no number is grey."""
     assert script("panels", f"m.colour(a, {pressure})", DATA) == expected
@@ -69,9 +67,6 @@ def test_clock(script: Any) -> None:
     assert script("panels", f"{begun} return p.factor; }})()") == pytest.approx(0.5)
     assert script("panels", f"{begun} p.look(0.95, false); return p.factor; }})()") is None
     assert script("panels", f"{begun} p.look(9, true, 'jumped'); return p.factor; }})()") is None
-
-
-NOW = {"state": "running", "time": 1.0, "factor": 1.0, "values": {}, "drives": True, "message": ""}
 
 
 def test_cells(script: Any) -> None:
@@ -91,10 +86,8 @@ def test_cells(script: Any) -> None:
 def test_what_holds_the_tip(script: Any, values: tuple[float, ...], told: str) -> None:
     """The limit that is used most has a cell of its own while the controller is on, else the wait has."""
     named = dict(zip(("engaged", "reference_share", "stroke_use", "speed_use"), values, strict=True))
-    shown = {
-        name: text
-        for name, text, _ in script("panels", "m.cells(a)", NOW | {"values": named, "slowed": DATA["slowed"]})
-    }
+    cells = script("panels", "m.cells(a)", NOW | {"values": named, "slowed": DATA["slowed"]})
+    shown = {name: text for name, text, _ in cells}
     assert shown.get("tip", "") == told
     assert script("panels", "m.limit(a, {})", DATA["slowed"]) == "", "no controller"
 
@@ -102,9 +95,8 @@ def test_what_holds_the_tip(script: Any, values: tuple[float, ...], told: str) -
 @pytest.mark.parametrize(("force", "shown"), [(0.0, []), (999.0, []), (-2e3, ["at an end"]), (None, [])])
 def test_an_end_of_stroke_is_noticed(script: Any, force: float | None, shown: list[str]) -> None:
     """Above the value of the notice, of either sign; not without the signal."""
-    described = [
-        {"name": n, "above": a, "text": t} for n, a, t in (("stop_force", 1e3, "at an end"), ("x", 0.0, "x"))
-    ]
+    both = (("stop_force", 1e3, "at an end"), ("x", 0.0, "x"))
+    described = [dict(zip(("name", "above", "text"), one, strict=True)) for one in both]
     assert script("panels", "m.notices(a[0], { stop_force: a[1] ?? NaN })", [described, force]) == shown
 
 
@@ -122,9 +114,8 @@ def test_history(script: Any) -> None:
     assert count <= 2 * (20 / 0.2 + 1)
     assert script("charts", f"(() => {{ {spike} {again} {peak} }})()")[0] == 0.1
     put = f"{make} h.put(3, [5], [-1]); h.put(3, [5], [-2]);"
-    assert script("charts", f"(() => {{ {put} return h.curves(1).columns.a; }})()") == [5, -2], (
-        "a bin that has grown"
-    )
+    grown = script("charts", f"(() => {{ {put} return h.curves(1).columns.a; }})()")
+    assert grown == [5, -2], "a bin that has grown"
 
 
 def test_a_rise_has_no_stairs(script: Any) -> None:
@@ -168,9 +159,8 @@ def test_charts_end(script: Any) -> None:
 def test_words_of_the_task(script: Any) -> None:
     """Where to go is told as the hands do it: the way round is the shorter one; what is done has no ring."""
     assert script("task", "m.directions(a)", [1.0, -0.5, math.pi / 2]) == "out 1.00 m, down 0.50 m, left 90°"
-    assert script("task", "m.way(...a)", [[-4.0, 0.1, 0.0], [-4.0, -0.1, 0.0]])[2] == pytest.approx(
-        2 * math.atan(0.1 / 4)
-    )
+    angle = script("task", "m.way(...a)", [[-4.0, 0.1, 0.0], [-4.0, -0.1, 0.0]])[2]
+    assert angle == pytest.approx(2 * math.atan(0.1 / 4))
     status = {"exercise": "stem on the left", "radius": 0.3}
     for done, strong in ((0, [True, False]), (1, [True]), (2, [])):
         rings = script("task", "m.rings(...a)", [DATA["task"], status | {"done": done}])

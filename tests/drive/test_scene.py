@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.equations import Part
+from kit.mistakes import problem
 from view.standin import DESCRIPTION
 
 from fmus.contract import quantities
@@ -17,9 +18,7 @@ from fmus.crane.manipulator import manipulator
 from fmus.crane.view import document
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.parameters import values
-from orchestrator.base.errors import Problem
-from orchestrator.base.toml import read as read_toml
-from orchestrator.base.toml import read_dataclass
+from orchestrator.base import toml
 from orchestrator.drive.drawing import SCALE
 from orchestrator.drive.scene import data, parameters, sizes, start
 from orchestrator.drive.view_description import ViewDescription
@@ -35,8 +34,6 @@ SCENE = DESCRIPTION.scene
 ROUNDING = 1e-12
 # swing, boom and stick in the work space of the mechanics; head in the plane of the arm, and out of it [rad]
 LOW, HIGH = (-math.pi, -0.45, -2.15, -1.0, -1.0), (math.pi, 1.0, -0.6, 1.0, 1.0)
-
-
 ANGLES = ("swing_angle", "boom_angle", "stick_angle", "head_angle", "head_side_angle")
 POSES = """a.values.map((q) => m.pose(q, a.machine)).map((p) => (
   { tip: p.tip, bodies: Object.fromEntries([...p.bodies].map(([n, at]) => [n, at.elements])) }))"""
@@ -70,8 +67,7 @@ def test_tip_head_and_cylinders(found: Any) -> None:
         assert middle == pytest.approx((y["head_x"], y["head_y"], y["head_height"]), abs=ROUNDING)
         for name in SCENE.cylinders:
             barrel, rod = (drawn(pose, f"{name}_{part}", (0.0, 0.0, 0.0)) for part in ("barrel", "rod"))
-            apart = math.dist(rod, barrel)
-            closed = OWN[f"{name}_closed_length"]
+            apart, closed = math.dist(rod, barrel), OWN[f"{name}_closed_length"]
             assert apart == pytest.approx(closed + y[f"{name}_position"], abs=ROUNDING)
             end = drawn(pose, f"{name}_barrel", (apart, 0.0, 0.0))
             assert end == pytest.approx(rod, abs=ROUNDING), "the barrel points to the rod"
@@ -99,8 +95,8 @@ def test_geometry_of_a_system(fmu_dir: Path, system: System) -> None:
 def test_no_arm(system: System) -> None:
     """A system without an arm is refused in one line that names what was looked for."""
     rest = {name: c for name, c in system.components.items() if name != "manipulator"}
-    with pytest.raises(Problem, match="boom_pivot_x to stick_stroke, found none in supply, boom_stick"):
-        parameters(SCENE, System("no arm", rest))
+    told = "boom_pivot_x to stick_stroke, found none in supply, boom_stick"
+    problem(lambda: parameters(SCENE, System("no arm", rest)), told)
 
 
 def test_shapes_hang_on_bodies() -> None:
@@ -124,9 +120,6 @@ def lightness(code: str) -> float:
     parts = [int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)]
     linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
-# ---- a crane of one's own
 
 
 @shards.browser
@@ -176,4 +169,4 @@ def test_the_page_of_a_crane_shows_its_signals(name: str) -> None:
 
 
 def _view(crane: Any) -> ViewDescription:
-    return read_dataclass(ViewDescription, read_toml(Path("view.toml"), document(crane)))
+    return toml.read_dataclass(ViewDescription, toml.read(Path("view.toml"), document(crane)))

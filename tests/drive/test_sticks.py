@@ -8,21 +8,17 @@ from hypothesis import strategies as st
 from view.standin import CONTROLLER, DESCRIPTION, LEVERS, MODES
 
 from orchestrator.base.errors import Problem
-from orchestrator.drive.sticks import (
-    ResponseCurve,
-    StickAxes,
-    commands,
-    functions,
-    legend,
-    modes,
-    response,
-)
+from orchestrator.drive.sticks import ResponseCurve, StickAxes, commands, functions, legend, modes, response
 
-share = st.floats(0, 0.9)
-CURVES = st.builds(ResponseCurve, share, st.floats(0, 1))
+CURVES = st.builds(ResponseCurve, st.floats(0, 0.9), st.floats(0, 1))
 DEFLECTIONS = st.floats(-1, 1)
-SMALL = ResponseCurve(0.1, 0.5)
+SMALL, FULL = ResponseCurve(0.1, 0.5), ResponseCurve(0.0, 0.0)
 PATTERNS, WORDS = DESCRIPTION.patterns, DESCRIPTION.functions
+# the function that a stick to the right, or away from the operator, moves; in its negative direction
+SIDES = {
+    "ISO": {"left_x": "swing", "left_y": "stick", "right_x": "curl", "right_y": "boom"},
+    "SAE": {"left_x": "swing", "left_y": "boom", "right_x": "curl", "right_y": "stick"},
+}
 
 
 @given(CURVES, DEFLECTIONS)
@@ -61,14 +57,6 @@ def test_curve_refuses(wrong: tuple[float, float]) -> None:
     """A curve that would divide by zero or turn round is refused."""
     with pytest.raises(Problem, match="curve: expected"):
         ResponseCurve(*wrong)
-
-
-FULL = ResponseCurve(0.0, 0.0)
-# the function that a stick to the right, or away from the operator, moves; in its negative direction
-SIDES = {
-    "ISO": {"left_x": "swing", "left_y": "stick", "right_x": "curl", "right_y": "boom"},
-    "SAE": {"left_x": "swing", "left_y": "boom", "right_x": "curl", "right_y": "stick"},
-}
 
 
 @pytest.mark.parametrize("name", PATTERNS)
@@ -128,11 +116,8 @@ def test_modes() -> None:
     assert modes(MODES, ("engine.speed",)) == ()
 
 
-@given(
-    st.builds(StickAxes, *[DEFLECTIONS] * 4),
-    st.sampled_from(sorted(PATTERNS)),
-    st.sampled_from(["levers", "tip"]),
-)
+@pytest.mark.parametrize("mode", ["levers", "tip"])
+@given(sticks=st.builds(StickAxes, *[DEFLECTIONS] * 4), name=st.sampled_from(sorted(PATTERNS)))
 def test_commands_are_bounded(sticks: StickAxes, name: str, mode: str) -> None:
     """No position of the sticks commands more than full."""
     found = commands(functions(sticks, PATTERNS[name], ResponseCurve()), MODES[mode], CONTROLLER)

@@ -12,7 +12,6 @@ from copy import deepcopy
 from lxml import etree
 
 Members = dict[str, bytes]
-
 HOSTILE = (  # values of attributes
     *("", " ", "-1", "0", "1", "2", "7", "1.5", "true", "1 2 3", "1 x", "nan", "inf", "-inf"),
     *("1e-300", "1e300", "1e400", "99999999999999999999", "-99999999999999999999", "9" * 5000),
@@ -32,9 +31,8 @@ SNIPPETS = (  # bytes in a text
     *(b"\xef\xbb\xbf", b"<?x y?>", b"<a>" * 3000, b"<a/>" * 3000, b' x="1"', b' name="a"', b"<odd:e/>"),
     b"[" * 5000,
 )
-ENTITIES = b'<!ENTITY a0 "ha">' + b"".join(
-    b'<!ENTITY a%d "%s">' % (n, b"&a%d;" % (n - 1) * 10) for n in range(1, 10)
-)
+ENTITIES = b'<!ENTITY a0 "ha">'
+ENTITIES += b"".join(b'<!ENTITY a%d "%s">' % (n, b"&a%d;" % (n - 1) * 10) for n in range(1, 10))
 DOCTYPES = (
     b"<!DOCTYPE a [%s]>" % ENTITIES,
     b'<!DOCTYPE a [<!ENTITY a9 SYSTEM "file:///etc/passwd">]>',
@@ -51,9 +49,6 @@ def damaged(good: Mapping[str, bytes], seed: int) -> bytes:
         draw.choice(CONTENT)(draw, members)
     data = archive(draw, members)
     return draw.choice(ARCHIVE)(draw, data) if draw.random() < 0.4 else data
-
-
-# ---- content ----------------------------------------------------------------------------------------------
 
 
 def _name(draw: random.Random, members: Members, *more: str) -> str:
@@ -130,14 +125,12 @@ def text(draw: random.Random, members: Members) -> None:
     elif action < 0.7:
         data = data[:at] + bytes([draw.randrange(256)]) + data[at + 1 :]
     elif action < 0.8:
-        data = data.decode("utf-8", "replace").encode(
-            draw.choice(("utf-16", "utf-32", "cp037", "utf-7")), "replace"
-        )
+        encoding = draw.choice(("utf-16", "utf-32", "cp037", "utf-7"))
+        data = data.decode("utf-8", "replace").encode(encoding, "replace")
     else:
         head, mark, tail = data.partition(b"?>")
-        quoted = (
-            tail.replace(b'="', b'="&a9;', 1) if draw.random() < 0.5 else tail.replace(b"><", b">&a9;<", 1)
-        )
+        place = (b'="', b'="&a9;') if draw.random() < 0.5 else (b"><", b">&a9;<")
+        quoted = tail.replace(*place, 1)
         data = head + mark + draw.choice(DOCTYPES) + quoted
     members[name] = data
 
@@ -175,8 +168,6 @@ def noise(draw: random.Random, members: Members) -> None:
 
 CONTENT: tuple[Callable[[random.Random, Members], None], ...] = (tree, tree, tree, tree, text, member, noise)
 
-# ---- archive ----------------------------------------------------------------------------------------------
-
 
 def archive(draw: random.Random, members: Mapping[str, bytes]) -> bytes:
     """A zip archive, seldom with members that are packed by other methods, are links, or exist twice."""
@@ -206,15 +197,16 @@ def flip(draw: random.Random, data: bytes) -> bytes:
     return bytes(content)
 
 
+FIELDS = ((8, "H"), (10, "H"), (16, "I"), (20, "I"), (24, "I"), (42, "I"), (28, "H"), (30, "H"))
+
+
 def field(draw: random.Random, data: bytes) -> bytes:
     """One number in the directory of the archive replaced: method, flags, sum, sizes, offset."""
     content = bytearray(data)
     places = [found.start() for found in re.finditer(rb"PK\x01\x02", data)]
     if places:
         at = draw.choice(places)
-        offset, kind = draw.choice(
-            ((8, "H"), (10, "H"), (16, "I"), (20, "I"), (24, "I"), (42, "I"), (28, "H"), (30, "H"))
-        )
+        offset, kind = draw.choice(FIELDS)
         value = draw.choice((0, 1, 8, 12, 14, 99, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, draw.randrange(len(data))))
         struct.pack_into(f"<{kind}", content, at + offset, value & (0xFFFF if kind == "H" else 0xFFFFFFFF))
     return bytes(content)
@@ -224,10 +216,8 @@ def cut(draw: random.Random, data: bytes) -> bytes:
     """The end, the beginning or the middle is missing, or something is in front or behind."""
     at = draw.randrange(len(data) + 1)
     length = draw.choice((1, 30, 1000))
-    more = b"x" * length
-    return draw.choice(
-        (data[:at], data[at:], data[:at] + data[at + length :], more + data, data + more, data * 2)
-    )
+    more, middle = b"x" * length, data[:at] + data[at + length :]
+    return draw.choice((data[:at], data[at:], middle, more + data, data + more, data * 2))
 
 
 ARCHIVE: tuple[Callable[[random.Random, bytes], bytes], ...] = (flip, field, field, cut)

@@ -190,9 +190,6 @@ class Part:
         return dict(zip(self.outputs, y.full(), strict=True))
 
 
-# ---- the machine
-
-
 @cache
 def machine(**variants: str) -> Monolith:
     """The machine with these variants as one ODE."""

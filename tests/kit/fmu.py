@@ -168,9 +168,8 @@ class Fmu:
 
     def derivatives(self) -> list[float]:
         """The derivatives of the continuous states."""
-        return self._vector(
-            self.fmu.getDerivatives if self.version == 2 else self.fmu.getContinuousStateDerivatives
-        )
+        old = self.version == 2
+        return self._vector(self.fmu.getDerivatives if old else self.fmu.getContinuousStateDerivatives)
 
     def _vector(self, read: Callable[[Any, int], object]) -> list[float]:
         count = len(self.description.derivatives)

@@ -88,9 +88,8 @@ def described(booms: list[Boom]) -> CraneDescription:
                 pins += f"{name} = [{pin.real:.17g}, {pin.imag:.17g}], "
             pins += f"closed = {closed:.17g}, "
         stroke = b.ends[1] if b.slides else float(opened - closed)
-        lines.append(
-            f"cylinder = {{ {pins}stroke = {stroke:.17g}, bore = {b.bore:.17g}, rod = {b.rod:.17g} }}"
-        )
+        rest = f"stroke = {stroke:.17g}, bore = {b.bore:.17g}, rod = {b.rod:.17g}"
+        lines.append(f"cylinder = {{ {pins}{rest} }}")
         starts.append(f"j{k} = {np.mean(b.ends):.17g}")
         at = b.length
     lines += [f'[payload]\non = "j{len(booms) - 1}"\nat = [{at:.17g}, 0, 0]', "[start]", *starts]
@@ -157,9 +156,7 @@ def largest(booms: list[Boom], reach: float) -> float:
         k = int(np.argmax(loads))
         best = max(best, float(loads[k]))
         half = [3 * (w[1] - w[0]) / (count - 1) if count > 13 else (w[1] - w[0]) / 6 for w in windows]
-        windows = [
-            (max(x[k] - h, b.ends[0]), min(x[k] + h, b.ends[1]))
-            for x, h, b in zip(q, half, booms[1:], strict=True)
-        ]
+        around = zip(q, half, booms[1:], strict=True)
+        windows = [(max(x[k] - h, b.ends[0]), min(x[k] + h, b.ends[1])) for x, h, b in around]
         count = 13
     return best

@@ -91,12 +91,9 @@ class Bench(Part):
         n, at = len(self.states), self.at("supply_pressure")
         z, load = ca.SX.sym("z", n), ca.SX.sym("load", 2)
         flow = orifice(load[0], z[at] * self.nominal[at] - load[1])
-        u = ca.vertcat(
-            *(
-                {"swing_load_pressure": load[1]}.get(name, flow if name.endswith("flow_swing") else 0)
-                for name in self.inputs
-            )
-        )
+        flows = {name: flow for name in self.inputs if name.endswith("flow_swing")}
+        given = flows | {"swing_load_pressure": load[1]}
+        u = ca.vertcat(*(given.get(name, 0) for name in self.inputs))
         rate = self.function(z * self.nominal, u, ca.DM(p))[0] / self.nominal
         grid = np.linspace(0, hold, samples + 1)
         options = {"reltol": 1e-10, "abstol": 1e-10, "max_num_steps": 100_000}

@@ -72,9 +72,8 @@ class Tutorial:
             fault = difference(text, self.printed)
             assert not fault, fault
         else:
-            raise AssertionError(
-                f"a block of {language or 'no language'}: expected shell, python, text or a title"
-            )
+            found = language or "no language"
+            raise AssertionError(f"a block of {found}: expected shell, python, text or a title")
 
     def command(self, line: str) -> str:
         """What a command prints."""
@@ -197,10 +196,8 @@ def difference(shown: str, printed: str) -> str:
     same = re.fullmatch(plain, printed.strip(), re.DOTALL)
     if same is None:
         return f"shown\n{shown}\nprinted\n{printed}"
-    far = [
-        f"{a} is shown, {b} printed" for a, b in zip(numbers, same.groups(), strict=True) if not near(a, b)
-    ]
-    return "; ".join(far)
+    far = ((a, b) for a, b in zip(numbers, same.groups(), strict=True) if not near(a, b))
+    return "; ".join(f"{a} is shown, {b} printed" for a, b in far)
 
 
 PATTERNS: Mapping[str, str] = {

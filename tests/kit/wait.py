@@ -22,8 +22,7 @@ def runs(pid: int) -> bool:
     """Is there such a process, and not one that only waits to be noticed?"""
     try:
         os.kill(pid, 0)
-        return (
-            Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[0] not in "ZX"
-        )
+        state = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[0]
+        return state not in "ZX"
     except (OSError, IndexError):
         return False

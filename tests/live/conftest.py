@@ -13,8 +13,8 @@ from orchestrator.realtime import deadlines
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Axis, Setup
 
-DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}
-DETAILED |= {"supply": "engine_pump"}
+DETAILED = {"manipulator": "pendulum_friction", "supply": "engine_pump"}
+DETAILED |= dict.fromkeys(("swing", "boom_stick"), "detailed")
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 
@@ -32,9 +32,8 @@ def drift(fmus: Workshop) -> Setup:
 @pytest.fixture(scope="session")
 def failing(fmus: Workshop, drift: Setup) -> Setup:
     """y' = u, and an error at 0.2 s."""
-    return replace(
-        drift, system=str(fmus["fails"]), signals=("fails.y",), set={"fails.when": 0.195, "fails.how": 3}
-    )
+    broken = {"fails.when": 0.195, "fails.how": 3}
+    return replace(drift, system=str(fmus["fails"]), signals=("fails.y",), set=broken)
 
 
 @pytest.fixture

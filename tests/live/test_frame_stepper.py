@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from kit.mistakes import problem
 
-from orchestrator import Coupling, Problem, Trace, run
+from orchestrator import Coupling, Trace, run
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.realtime.stepping import FrameStepper
 from orchestrator.ssp import load as loading
@@ -55,9 +55,8 @@ def random_walk(seed: int, size: int, limit: float = 6.0):
 @pytest.mark.parametrize("swap", [{}, DETAILED], ids=["lumped", "detailed"])
 def test_the_machine_is_the_one_of_run(fmu_dir, swap):
     """Half a second of random commands, to the last bit, with a pose that is set."""
-    setup = Setup(
-        str(fmu_dir / "harvester.ssp"), COMMANDS, SHOWN, swap, set={"manipulator.initial_boom_angle": 0.3}
-    )
+    pose = {"manipulator.initial_boom_angle": 0.3}
+    setup = Setup(str(fmu_dir / "harvester.ssp"), COMMANDS, SHOWN, swap, set=pose)
     live = played(setup, 50, random_walk(1, 3))
     assert np.ptp(live["manipulator.swing_angle"]) > 1e-3
     same_as_run(setup, live)
@@ -150,11 +149,8 @@ def test_a_failing_fmu_tells_why_and_keeps_the_last_frame(failing):
     for _ in range(19):
         live.advance(np.ones(1))
     before = live.t, live.values.copy()
-    with pytest.raises(
-        Problem, match=r"^fails: the step failed at t = 0\.195 s with status error; it says: .*broke"
-    ) as caught:
-        live.advance(np.ones(1))
-    assert "\n" not in str(caught.value)
+    told = r"^fails: the step failed at t = 0\.195 s with status error; it says: .*broke"
+    problem(lambda: live.advance(np.ones(1)), told)
     assert (live.t, live.values) == before
     live.close()
     live.close()

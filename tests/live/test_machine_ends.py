@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 from kit import shards
+from kit.mistakes import problem
 from kit.wait import runs, until
 
-from orchestrator import Problem
 from orchestrator.realtime import machine
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Axis
@@ -43,12 +43,11 @@ def test_a_failed_fmu_is_told_and_a_restart_works(opened, failing, drift):
 @pytest.mark.usefixtures("opened")
 def test_a_wrong_setup_is_told_at_the_start(drift):
     """And nothing is left running."""
-    with pytest.raises(Problem, match=r"^unknown variable 'drift\.z'; did you mean drift\.y"):
-        RealTimeMachine(replace(drift, signals=("drift.z",)))
-    with pytest.raises(Problem, match=r"^axis u: expected a positive limit, got -1$"):
-        RealTimeMachine(replace(drift, axes=(Axis("u", -1.0, 1.0),)))
-    with pytest.raises(Problem, match=r"^speed: expected a factor from 0\.1 to 10, got 0$"):
-        RealTimeMachine(drift, speed=0.0)
+    unknown, wrong = replace(drift, signals=("drift.z",)), replace(drift, axes=(Axis("u", -1.0, 1.0),))
+    problem(lambda: RealTimeMachine(unknown), r"^unknown variable 'drift\.z'; did you mean drift\.y")
+    problem(lambda: RealTimeMachine(wrong), "^axis u: expected a positive limit, got -1$")
+    told = r"^speed: expected a factor from 0\.1 to 10, got 0$"
+    problem(lambda: RealTimeMachine(drift, speed=0.0), told)
 
 
 @posix
@@ -147,8 +146,7 @@ def test_closing(opened, drift):
     assert (frame.state, frame.message) == ("ended", "")
     assert len(station.trace().time) == frame.timing.frames + 1
     station.command({"u": 1.0})
-    with pytest.raises(Problem, match="the machine is closed"):
-        station.restart()
+    problem(station.restart, "the machine is closed")
 
 
 def test_one_that_is_forgotten_ends(drift):

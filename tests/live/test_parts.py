@@ -17,6 +17,7 @@ from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.realtime.shared_memory import Command, Memory, SharedState, attach, layout
 from orchestrator.realtime.stepping import CommandWatchdog, Ramp, RateLimiter, RestDelay
 
+AXIS = Axis("u", 1.0, 1.0)
 positive = st.floats(1e-6, 1e6)
 anything = st.floats(allow_nan=True, allow_infinity=True)
 
@@ -57,16 +58,12 @@ def test_no_number_means_rest():
     np.testing.assert_array_equal(limits.toward(np.array([3.0, 3.0]), np.array([np.nan, 4.0])), [1.0, 4.0])
     axes = [Axis("engaged", 1.0, 1000.0, rest_delay=0.03), Axis("velocity", 1.0, 1000.0)]
     limits, rest_delay = RateLimiter(axes, 0.01), RestDelay(axes, 0.01)
-    now, seen = limits.rest.copy(), []
-    none = (np.nan, np.nan)
+    now, seen, none = limits.rest.copy(), [], (np.nan, np.nan)
     for wanted in [none] + 2 * [(1, 1)] + 2 * [none] + [(1, 1)] + 5 * [none] + [(1, 1), (0, 0)]:
         now = limits.toward(now, rest_delay.delayed(now, np.array(wanted, dtype=float)))
         seen.append((int(now[0]), int(now[1])))
     assert seen[:6] == [(0, 0), (1, 1), (1, 1), (1, 0), (1, 0), (1, 1)]
     assert seen[6:] == 3 * [(1, 0)] + 2 * [(0, 0)] + [(1, 1), (0, 0)]
-
-
-AXIS = Axis("u", 1.0, 1.0)
 
 
 def axis(**changed: float) -> dict[str, tuple[Axis, ...]]:
@@ -172,9 +169,6 @@ def test_a_ramp_is_the_scenario_with_a_row_per_frame(values):
         for t in (begin, begin + 0.3 * (end - begin), end):
             np.testing.assert_array_equal(ramp.at(t), table.at(t))
             np.testing.assert_array_equal(ramp.sample(t), table.sample(t))
-
-
-# ---- when frames are due: on a clock that the test moves
 
 
 def _frames(clock, works, length=0.01):

@@ -43,7 +43,6 @@ def released(system: Path, mode: str, pose: str, swap: str, load: float = 0.0) -
     return dict(zip(shown, np.array(rows).T, strict=True))
 
 
-DRIVEN = ("harvester-levers", "harvester_control-levers", "harvester_control-tip")
 # the controller brakes once in each fidelity and pose; the levers stop where the arm is stretched, in each
 # fidelity once
 QUICK = [
@@ -52,6 +51,7 @@ QUICK = [
     ("harvester_control-tip", "lumped", "nominal"),
     ("harvester_control-tip", "detailed", "reach"),
 ]
+DRIVEN = ("harvester-levers", "harvester_control-levers", "harvester_control-tip")
 CASES = list(itertools.product(DRIVEN, SWAPS, POSES))
 
 

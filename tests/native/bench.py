@@ -33,9 +33,8 @@ def run(command: Sequence[object], **more: object) -> subprocess.CompletedProces
     """Run a program; a failure contains its output."""
     words = [str(word) for word in command]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=1800, **more)
-    assert done.returncode == 0, (
-        f"{' '.join(words[:6])}: exit status {done.returncode}\n{done.stderr[-3000:]}"
-    )
+    ended = f"{' '.join(words[:6])}: exit status {done.returncode}"
+    assert done.returncode == 0, f"{ended}\n{done.stderr[-3000:]}"
     return done
 
 
@@ -116,8 +115,6 @@ def numbers(text: str) -> np.ndarray:
     """Output of `get`, one row per call."""
     return np.array([[float(word) for word in line.split()] for line in text.splitlines()])
 
-
-# ---- scripts ---------------------------------------------------------------------------------------
 
 # inputs and by how much they are moved, about a tenth of what the machine does
 PUSHED = {

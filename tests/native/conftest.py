@@ -36,9 +36,6 @@ def drivers() -> Mapping[int, Path]:
     return {version: driver(version) for version in (2, 3)}
 
 
-# ---- a model that does not behave -------------------------------------------------------------------
-
-
 def q(**more: Any) -> Quantity:
     return Quantity("1", "of a wild model", **more)
 

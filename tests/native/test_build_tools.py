@@ -29,9 +29,8 @@ def test_fmpy_builds_the_sources_itself(request, tmp_path, monkeypatch, version)
     (tmp_path / "build").mkdir()
     build_platform_binary(folder, tmp_path / "build")
     table = np.array([(0.0, 0.0), (0.2, 0.0), (0.7, 4.0), (1.5, 4.0), (2.0, 0.0)], dtype=TABLE)
-    runs = [
-        simulate_fmu(str(path), stop_time=3.0, output_interval=STEP, input=table) for path in (fmu, folder)
-    ]
+    options = {"stop_time": 3.0, "output_interval": STEP, "input": table}
+    runs = [simulate_fmu(str(path), **options) for path in (fmu, folder)]
     for output in runs[0].dtype.names:
         ours, theirs = (run[output] for run in runs)
         # same C, other compiler: rounding, amplified by the step control of the solver to its tolerance, 1e-6

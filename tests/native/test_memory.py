@@ -41,10 +41,10 @@ def life(fmu: Fmu, steps: int) -> Iterator[str]:
 
 
 # the functions of FMI are the same in all FMUs of a version
-@pytest.mark.parametrize(
-    ("name", "version"),
-    [(name, version) for name in NAMES for version in (2, 3) if version == 3 or name in NAMES[:2]],
-)
+CASES = [(name, version) for name in NAMES for version in (2, 3) if version == 3 or name in NAMES[:2]]
+
+
+@pytest.mark.parametrize(("name", "version"), CASES)
 def test_valgrind_finds_nothing(machines, drivers, tmp_path, name, version):
     """A hundred instances (of the whole machine twenty), a thousand steps each: no error, no leak."""
     fmu = machines[version, name]

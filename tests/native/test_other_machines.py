@@ -2,8 +2,9 @@
 
 import shutil
 import subprocess
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from kit import shards
@@ -23,13 +24,7 @@ ARM = Path("/usr/aarch64-linux-gnu")  # where Debian's libc6-arm64-cross puts th
 STOP = 5.0  # s: all three levers have moved
 
 
-def compare(
-    machines: Mapping[tuple[int, str], object],
-    drivers: Mapping[int, Path],
-    folder: Path,
-    platform: str,
-    before: Sequence[str],
-) -> None:
+def compare(machines: Any, drivers: Any, folder: Path, platform: str, before: Sequence[str]) -> None:
     """Both versions of the whole machine and the levers on the other platform, and on this one."""
     folders = {version: folder / str(version) for version in (2, 3)}
     build_all([HARVESTER, OPERATOR], folders, STEP, WORK_CYCLE_STOP, platforms=[platform])
@@ -53,9 +48,8 @@ def wine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     for name, value in (("WINEPREFIX", str(prefix)), ("WINEDEBUG", "-all"), ("DISPLAY", "")):
         monkeypatch.setenv(name, value)
     # its services live on for a while, and would keep a pipe open that they got from the first program
-    subprocess.run(
-        [WINE, "wineboot", "--init"], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    subprocess.run([WINE, "wineboot", "--init"], check=True, **quiet)
     yield WINE
     server = shutil.which("wineserver") or "/usr/lib/wine/wineserver"
     subprocess.run([server, "--kill", "--wait"], check=False, capture_output=True)

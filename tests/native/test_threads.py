@@ -20,16 +20,8 @@ pytestmark = [
 def work(fmu, steps):
     """A life with everything that computes or allocates."""
     unknown, known = fmu.shown[0] + fmu.states, fmu.shown[0]
-    return [
-        *begin(fmu),
-        *moves(fmu, 0, steps),
-        "save 0",
-        f"along 0 {unknown} {known}",
-        "restore 0",
-        "forget 0",
-        look(fmu),
-        "free 0",
-    ]
+    along = f"along 0 {unknown} {known}"
+    return [*begin(fmu), *moves(fmu, 0, steps), "save 0", along, "restore 0", "forget 0", look(fmu), "free 0"]
 
 
 @pytest.mark.parametrize("version", [2, 3])

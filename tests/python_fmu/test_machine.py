@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 from kit import shards
-from kit.any_fmu.edit import edited
+from kit.any_fmu.edit import edited, renamed
 
 from orchestrator import load, run
 from orchestrator.ssp.swap import with_swaps
@@ -30,12 +30,10 @@ def test_an_fmu_without_load_pressure_runs_and_says_so(system, actuator, tmp_pat
     assert line in usual.card.notes
     assert usual.card.warnings == ()
     assert (usual.trace["supply.boom_stick_load_pressure"] == 0.0).all()
-    swap = {"boom_stick": str(actuator), "supply": "load_sensing"}
-    needed = run(system, stop=0.1, swap=swap)
+    needed = run(system, stop=0.1, swap={"boom_stick": str(actuator), "supply": "load_sensing"})
     assert f"{line}; supply (supply_load_sensing) could use this signal" in needed.card.warnings
     assert not any("load_pressure" in note for note in needed.card.notes)
-    written = load(write_ssp(needed.system, tmp_path / "mine.ssp"))
-    wires = [str(c) for c in written.connections]
+    wires = [str(c) for c in load(write_ssp(needed.system, tmp_path / "mine.ssp")).connections]
     assert wires == [str(c) for c in needed.system.connections]
     assert not any("boom_stick_load_pressure" in wire for wire in wires)
 
@@ -50,12 +48,10 @@ def test_an_fmu_of_the_version_before_fits(fmu_dir, system, tmp_path):
         "supply": ["flow is not shared", "the load of swing is", "the load of boom_stick is"],
     }
     for part, expected in notes.items():
-        fmu = fmu_dir / f"{part}.fmu"
         names = [n for n in system.components[part].interface.variables if new.search(n)]
-        changes = [(f'name="{n}" valueReference', f'name="other_{n}" valueReference') for n in names]
-        old = edited(
-            fmu, tmp_path / f"{part}.fmu", *changes, ("<VendorAnnotations>.*</VendorAnnotations>", "")
-        )
+        changes = [renamed(n, f"other_{n}") for n in names]
+        changes.append(("<VendorAnnotations>.*</VendorAnnotations>", ""))
+        old = edited(fmu_dir / f"{part}.fmu", tmp_path / f"{part}.fmu", *changes)
         swapped = with_swaps(system, {part: old})
         said = [note for note in swapped.notes if note.startswith(f"{old} has no ")]
         assert all(len([note for note in said if text in note]) == 1 for text in expected), said

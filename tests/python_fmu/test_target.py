@@ -52,9 +52,7 @@ def test_a_missing_package_is_told(actuator):
 
 
 @table(__file__, "cards", "key, value, message")
-def test_an_fmu_that_does_not_fit_the_installation_is_refused(
-    actuator, tmp_path, capsys, key, value, message
-):
+def test_an_fmu_that_does_not_fit_here_is_refused(actuator, tmp_path, capsys, key, value, message):
     """Another version, a file that is missing, files of different builds: one line each."""
     with zipfile.ZipFile(actuator) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
@@ -100,9 +98,7 @@ def test_a_program_without_python_runs_it(tmp_path):
 
 
 # for another system the compiler first makes its C library
-@pytest.mark.parametrize(
-    "platform", [p if p == host() else pytest.param(p, marks=shards.platforms) for p in PLATFORMS]
-)
+@pytest.mark.parametrize("platform", shards.few([host()], PLATFORMS, shards.platforms))
 def test_there_is_a_library_for_each_platform(platform):
     """The library compiles for all platforms without a warning, and needs no library of Python."""
     parsed = lief.parse(list(library(platform)))  # it has to outlive its libraries

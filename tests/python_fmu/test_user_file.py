@@ -22,6 +22,7 @@ from python_fmu.lag import built, written
 OBSERVE = "return Outputs(y=x.y, z=x.y + u.w)"
 STEP = "return State(y=x.y + h * (GAIN * u.u - x.y) / p.delay)"
 BY_HAND = "        "
+NATIVE = Path(__file__).with_name("lag_of_equations.txt").read_text(encoding="utf-8")
 THREADS = """
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -68,9 +69,6 @@ def test_the_description_is_complete(tmp_path):
     assert first == {"z": {"w", "delay", "y"}}
 
 
-# ---- at the build
-
-
 @table(__file__, "build", "old, new, expected")
 def test_the_build_refuses(tmp_path, old, new, expected):
     """A file that does not work or violates its declarations is refused."""
@@ -87,10 +85,8 @@ def test_helpers_of_any_name_are_the_users_own(tmp_path):
     assert built(tmp_path, ("    start =", f"    {own}\n    start =")).is_file()
     assert built(tmp_path, ("    start =", "    steps, _state, flows = 3, 4, 5\n    start =")).is_file()
     head = written(tmp_path).read_text(encoding="utf-8").partition("class Lag")[0]
-    static = (
-        "class Sum(Model):\n    Inputs, Outputs = Inputs, Outputs\n\n    def observe(self, x, u, p, t):\n"
-    )
-    text = head + static + "        return Outputs(y=u.u, z=u.w)\n"
+    observe = "    def observe(self, x, u, p, t):\n        return Outputs(y=u.u, z=u.w)\n"
+    text = f"{head}class Sum(Model):\n    Inputs, Outputs = Inputs, Outputs\n\n{observe}"
     (tmp_path / "sum.py").write_text(text, encoding="utf-8")
     assert build_user(tmp_path / "sum.py", tmp_path / "out").is_file()
 
@@ -108,9 +104,6 @@ def test_a_folder_and_a_missing_file_are_named(tmp_path):
     for name, told in kinds.items():
         file = tmp_path / f"{name}.py"
         problem(lambda file=file: build_user(file, tmp_path / "out"), f"{name}.py: {told}")
-
-
-NATIVE = Path(__file__).with_name("lag_of_equations.txt").read_text(encoding="utf-8")
 
 
 @table(__file__, "equations", "old, new, expected")
@@ -144,10 +137,8 @@ def test_a_state_hidden_in_a_list_is_found(tmp_path):
 
 def test_a_file_that_is_read_goes_along(tmp_path):
     """Files in `files` are in the FMU; the build fails if the model reads another file."""
-    reading = (
-        "GAIN = 1.0",
-        "from pathlib import Path\nGAIN = float(Path(__file__).with_name('gain.txt').read_text())",
-    )
+    text = "from pathlib import Path\nGAIN = float(Path(__file__).with_name('gain.txt').read_text())"
+    reading = "GAIN = 1.0", text
     written(tmp_path)
     (tmp_path / "gain.txt").write_text("3.0", encoding="utf-8")
     problem(lambda: built(tmp_path, reading), r"lag.py:9: FileNotFoundError: .*gain.txt")
@@ -192,9 +183,6 @@ def test_ports_are_taken_from_the_part_that_a_model_stands_for():
     assert told.startswith("Own: Outputs has no boom_forces, expected a name such as boom_force")
 
 
-# ---- while it runs
-
-
 @table(__file__, "step", "lines, message")
 def test_a_step_that_fails_says_why(tmp_path, capsys, lines, message):
     """File, line and fault in one message by the FMI logger; status error; the program goes on."""
@@ -233,9 +221,6 @@ def test_a_warning_is_no_error(tmp_path):
     with driving(built(tmp_path)) as fmu:
         fmu.set(w=200.0).step(1e-3, 3)
     assert fmu.logged("logStatusWarning") == ["fmi2DoStep: z = 200.01 N at t = 0.001 s is above 100 N"]
-
-
-# ---- names
 
 
 def test_files_of_one_name_live_together(tmp_path):

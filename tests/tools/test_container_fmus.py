@@ -25,6 +25,7 @@ TOOLBOX = (
     "[ERROR] Solver configure....",
     "[WARNING] Container use PARALLEL mode with MONO thread.",
 )
+versions = pytest.mark.parametrize(("folder", "version"), [("fmu_dir", 2), ("fmi3_dir", 3)])
 
 
 def rank(wire: tuple[str, str]) -> int:
@@ -67,7 +68,7 @@ def fmpy_container(folder: Path, target: Path, version: int) -> Path:
     return target / "harvester.fmu"
 
 
-@pytest.mark.parametrize(("folder", "version"), [("fmu_dir", 2), ("fmi3_dir", 3)])
+@versions
 def test_fmpy_container_runs_the_system(request, fmu_dir, tmp_path, capfd, folder, version):
     """The container steps its four parts by itself, over the whole work cycle: the numbers of our `jacobi`.
 
@@ -75,13 +76,9 @@ def test_fmpy_container_runs_the_system(request, fmu_dir, tmp_path, capfd, folde
     """
     path = fmpy_container(request.getfixturevalue(folder), tmp_path, version)
     names = {name: name.replace(".", "_") for name in SIGNALS}
-    rows = simulate_fmu(
-        str(path),
-        validate=False,  # FMPy's own container lacks InitialUnknowns
-        stop_time=42.0,
-        output_interval=STEP,
-        output=list(names.values()),
-    )
+    # FMPy's own container lacks InitialUnknowns
+    options = {"validate": False, "output": list(names.values())}
+    rows = simulate_fmu(str(path), stop_time=42.0, output_interval=STEP, **options)
     found = {name: rows[column] for name, column in names.items()}
     agree(rows["time"], found, JACOBI)
     expected = ours(fmu_dir, STEP, 42.0, master="jacobi")
@@ -89,7 +86,7 @@ def test_fmpy_container_runs_the_system(request, fmu_dir, tmp_path, capfd, folde
     check_log("".join(capfd.readouterr()))
 
 
-@pytest.mark.parametrize(("folder", "version"), [("fmu_dir", 2), ("fmi3_dir", 3)])
+@versions
 def test_fmucontainer_reads_the_ssp(request, fmu_dir, tmp_path, capfd, caplog, folder, version):
     """fmu-manipulation-toolbox turns either SSP into one FMU: our numbers, and no error while it does so."""
     assembly = load("fmu_manipulation_toolbox.assembly")
@@ -102,9 +99,8 @@ def test_fmucontainer_reads_the_ssp(request, fmu_dir, tmp_path, capfd, caplog, f
     path = tmp_path / "harvester.fmu"
     variables = {v.name: v for v in read_model_description(str(path), validate=False).modelVariables}
     shown = {name: name if name in variables else name.split(".")[1] for name in SIGNALS}
-    rows = simulate_fmu(
-        str(path), validate=False, stop_time=10.0, output_interval=STEP, output=list(shown.values())
-    )
+    options = {"validate": False, "output": list(shown.values())}
+    rows = simulate_fmu(str(path), stop_time=10.0, output_interval=STEP, **options)
     found = {name: rows[column] for name, column in shown.items()}
     agree(rows["time"], found, JACOBI)
     same({name: values[20::20] for name, values in found.items()}, ours(fmu_dir, STEP, 42.0), SAME)

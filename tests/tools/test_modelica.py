@@ -12,6 +12,7 @@ import pytest
 from kit import shards
 from kit.mistakes import problem
 from kit.openmodelica import openmodelica
+from kit.work_cycle import PRESSURES as PORTS
 
 from fmus.machine import CONSTANT_INPUTS, LEVERS
 from fmus.machine.parts import FERIC
@@ -25,24 +26,14 @@ EXAMPLES = Path(__file__).parents[2] / "examples" / "modelica"
 POSE = {"initial_swing_angle": 0.3, "initial_boom_angle": 0.5, "initial_stick_angle": -1.2}
 CASES: Mapping[str, Mapping[str, float]] = {"": {}, "OtherPose": POSE, "HeavyHead": {"head_mass": 600.0}}
 ANGLES = [f"{joint}_angle" for joint in ("swing", "boom", "stick")]
-PRESSURES = [
-    *("swing_pressure_a", "swing_pressure_b"),
-    *(f"{axis}_{side}_pressure" for axis in ("boom", "stick") for side in ("head", "rod")),
-]
+PRESSURES = [name.partition(".")[2] for name in PORTS]
 
 
 @pytest.fixture(scope="module")
 def package(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Package.mo of the machine in parts, as one block, and of one variant."""
-    files = [
-        fmu_dir / "harvester.ssp",
-        fmu_dir / "harvester.fmu",
-        fmu_dir / "variants" / "swing_detailed.fmu",
-    ]
+    files = [fmu_dir / name for name in ("harvester.ssp", "harvester.fmu", "variants/swing_detailed.fmu")]
     return write_package(files, tmp_path_factory.mktemp("modelica"), "Harvester", CONSTANT_INPUTS, LEVERS)
-
-
-# ---- the text
 
 
 def block(package: Path, name: str) -> str:
@@ -55,9 +46,8 @@ def test_each_fmu_is_a_block_with_its_parameters_and_units(package, fmu_dir):
     """Every parameter of swing.fmu with its unit and value; the FMU itself is a resource."""
     with zipfile.ZipFile(fmu_dir / "swing.fmu") as archive:
         described = archive.read("modelDescription.xml").decode()
-    declared = re.findall(
-        r'name="(\w+)"[^>]*causality="parameter".*?unit="([^"]+)".*?start="([^"]+)"', described, re.S
-    )
+    pattern = r'name="(\w+)"[^>]*causality="parameter".*?unit="([^"]+)".*?start="([^"]+)"'
+    declared = re.findall(pattern, described, re.S)
     shown = re.findall(r'parameter Real (\w+)\(unit = "([^"]+)"[^)]*\) = (\S+) "', block(package, "Swing"))
     values = {name: (unit, float(value)) for name, unit, value in shown}
     assert {name: (unit, float(value)) for name, unit, value in declared}.items() <= values.items()
@@ -67,11 +57,8 @@ def test_each_fmu_is_a_block_with_its_parameters_and_units(package, fmu_dir):
 
 def test_an_output_is_computed_with_the_inputs_that_it_depends_on(package):
     """Positions and speeds of the arm do not depend on forces, so that tools find no algebraic loop."""
-    calls = re.findall(
-        r"\{([\w, ]+)\} =\s+Internal\.outputs\(.*?(\{[\w, ]+\}|fill\(0\.0, 0\)), \{[\d, ]+\}\)",
-        block(package, "Manipulator"),
-        re.S,
-    )
+    pattern = r"\{([\w, ]+)\} =\s+Internal\.outputs\(.*?(\{[\w, ]+\}|fill\(0\.0, 0\)), \{[\d, ]+\}\)"
+    calls = re.findall(pattern, block(package, "Manipulator"), re.S)
     used = {name: inputs for names, inputs in calls for name in names.split(", ")}
     assert used["boom_position"] == used["swing_speed"] == "fill(0.0, 0)"
     assert "boom_force" in used["boom_acceleration"]
@@ -100,17 +87,13 @@ def test_an_fmu_of_fmi_3_is_refused(fmi3_dir, tmp_path):
     assert told.endswith("swing.fmu: expected an FMU for Model Exchange in FMI 2.0, got FMI 3.0")
 
 
-# ---- OpenModelica
-
-
 @shards.tools
 def test_the_next_step_that_the_command_prints_runs(fmu_dir, tmp_path, monkeypatch, capsys):
     """The model and the line for OpenModelica, as they are printed."""
     monkeypatch.chdir(tmp_path)
     assert main(["modelica", str(fmu_dir / "harvester.fmu"), "--name", "Mine_2"]) == 0
-    script, model = re.search(
-        r"OpenModelica:\n(.*)\nwith a file .*?\n(.*)", capsys.readouterr().out, re.S
-    ).groups()
+    pattern = r"OpenModelica:\n(.*)\nwith a file .*?\n(.*)"
+    script, model = re.search(pattern, capsys.readouterr().out, re.S).groups()
     (tmp_path / "Mine.mo").write_text(model)
     (tmp_path / "a.mos").write_text(f"{script} getErrorString();")
     said = openmodelica(tmp_path / "a.mos")

@@ -34,8 +34,9 @@ VARIABLES = [
     V("der(x)", "local", depends=["u", "x"], derives="x", place=3),
     V("y", "output", depends=["x"], place=4),
 ]
-
-
+TIGHT = 1e-6  # relative, for DASSL at 1e-9 over one time constant
+PLAIN_GUID, OTHER_GUID = ('guid="decay"', 'guid="first"'), ('guid="decay"', 'guid="second"')
+DISCARDED = r"T\.a: fmi2\w+ was discarded"  # a solver would go on with other numbers: exp(-0.5), not exp(-1)
 Make = Callable[..., Path]
 
 
@@ -85,12 +86,6 @@ def at_end(folder: Path, packages: list[str], text: str) -> pd.Series:
     return rows.iloc[-1]
 
 
-TIGHT = 1e-6  # relative, for DASSL at 1e-9 over one time constant
-
-
-# ---- parameters, names, systems
-
-
 @shards.tools
 def test_parameters_of_every_type_and_inputs_reach_the_fmu(decay, tmp_path):
     """Real, integer, boolean and text, and the start value of the state, each as a parameter of the block.
@@ -116,9 +111,8 @@ def test_parameters_of_every_type_and_inputs_reach_the_fmu(decay, tmp_path):
 @shards.tools
 def test_names_that_modelica_does_not_take_are_quoted_and_stay_apart(decay, tmp_path):
     """Of variables, files, components; a start value gives way to a parameter of its name."""
-    odd = decay(
-        "1st-decay.x", ('"k"', '"end"'), ('"u"', '"arm.force[1]"'), ('"y"', '"sum"'), ('"n"', '"x_start"')
-    )
+    names = ('"k"', '"end"'), ('"u"', '"arm.force[1]"'), ('"y"', '"sum"'), ('"n"', '"x_start"')
+    odd = decay("1st-decay.x", *names)
     write_package([odd, decay("boom-stick", PLAIN_GUID), decay("boom_stick", OTHER_GUID)], tmp_path, "P")
     end = at_end(
         tmp_path,
@@ -128,9 +122,6 @@ def test_names_that_modelica_does_not_take_are_quoted_and_stay_apart(decay, tmp_
         "equation a.'arm.force[1]' = 0; b.u = 0; c.u = 0; end T;",
     )
     assert end["a.'sum'"] == pytest.approx(3 * np.exp(-0.5 * 2), rel=TIGHT)
-
-
-PLAIN_GUID, OTHER_GUID = ('guid="decay"', 'guid="first"'), ('guid="decay"', 'guid="second"')
 
 
 @shards.tools
@@ -154,9 +145,6 @@ def test_a_system_has_the_values_of_its_ssp(decay, tmp_path):
     assert end["own.y"] == pytest.approx(np.exp(-1), rel=TIGHT)
 
 
-DISCARDED = r"T\.a: fmi2\w+ was discarded"  # a solver would go on with other numbers: exp(-0.5), not exp(-1)
-
-
 @shards.tools
 @pytest.mark.parametrize(
     ("fault", "message"),
@@ -166,14 +154,10 @@ DISCARDED = r"T\.a: fmi2\w+ was discarded"  # a solver would go on with other nu
 def test_what_the_fmu_discards_or_ends_is_the_end_of_the_run(decay, tmp_path, fault, message):
     """The message has the name of the block and the reason."""
     write_package([decay()], tmp_path, "P")
-    said, rows = simulate(
-        tmp_path, ["P"], f"model T P.FMUs.Decay a(fault = {fault}); equation a.u = 0; end T;"
-    )
+    model = f"model T P.FMUs.Decay a(fault = {fault}); equation a.u = 0; end T;"
+    said, rows = simulate(tmp_path, ["P"], model)
     assert rows.empty
     assert re.search(message, said)
-
-
-# ---- what is written and what is refused
 
 
 def test_equal_fmus_are_one_block_with_two_names(decay, tmp_path):

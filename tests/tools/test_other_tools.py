@@ -37,9 +37,6 @@ pytestmark = shards.tools
 ECOS = ('Function "fmi3GetVersion" is not provided by this FMU.',)
 
 
-# ---- Ecos ------------------------------------------------------------------------------------------
-
-
 def ecos_run(
     stop: float,
     step: float,
@@ -118,18 +115,14 @@ def test_ecos_needs_no_small_steps_for_the_one_block(fmu_dir, capfd):
     check_log("".join(capfd.readouterr()))
 
 
-# ---- libcosim --------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", FMUS)
 def test_libcosim_runs_each_fmu(fmu_dir, capfd, name):
     """Alone: no step is refused and the log has no error."""
     cosim, logging = load("libcosimpy.CosimExecution"), load("libcosimpy.CosimLogging")
     logging.log_output_level(logging.CosimLogLevel.WARNING)
     execution = cosim.CosimExecution.from_step_size(step_size=10**6)  # ns
-    slave = load("libcosimpy.CosimSlave").CosimLocalSlave(
-        fmu_path=str(fmu_dir / f"{name}.fmu"), instance_name=name
-    )
+    given = {"fmu_path": str(fmu_dir / f"{name}.fmu"), "instance_name": name}
+    slave = load("libcosimpy.CosimSlave").CosimLocalSlave(**given)
     execution.add_local_slave(slave)
     assert execution.step(step_count=500)
     assert execution.status().current_time == 500 * 10**6
@@ -144,11 +137,8 @@ def test_libcosim_runs_the_ssp(fmu_dir, capfd):
     observer = load("libcosimpy.CosimObserver").CosimObserver.create_last_value()
     assert execution.add_observer(observer)
     slaves = {info.name.decode(): info.index for info in execution.slave_infos()}
-    references = {
-        f"{slave}.{v.name.decode()}": v.reference
-        for slave, index in slaves.items()
-        for v in execution.slave_variables(index)
-    }
+    variables = [(slave, v) for slave, index in slaves.items() for v in execution.slave_variables(index)]
+    references = {f"{slave}.{v.name.decode()}": v.reference for slave, v in variables}
     wanted = {slave: [n for n in SIGNALS if n.startswith(f"{slave}.")] for slave in ORDER[:3]}
 
     def take() -> list[float]:

@@ -21,6 +21,10 @@ STOP = 2.0  # s
 WINDOW = REFERENCE["time"] <= STOP
 # each signal is off by a hundredth of its range
 FOUND = {name: REFERENCE[name][WINDOW] + 0.01 * np.ptp(REFERENCE[name][WINDOW]) for name in SIGNALS}
+METHODS = (  # of a model in OMSimulator 3
+    *("setResultFile", "removeSignalsFromResults", "addSignalsToResults", "setFixedStepSize", "setStopTime"),
+    *("setLoggingInterval", "initialize", "simulate", "terminate", "delete"),
+)
 PRINTED = "error over range after 2 s: speed 1 %, angle 1 %, pressure 1 %\n"
 
 
@@ -82,17 +86,10 @@ def test_pyfmi_has_the_parts_and_wires_of_the_ssp(fmu_dir, monkeypatch, capsys, 
     script(monkeypatch, "pyfmi", *more, pyfmi=pyfmi, pyfmi_master=module)
     assert capsys.readouterr().out == PRINTED
     open_ports = () if rates else ("_rate", "_acceleration")
-    assert sorted(seen["wires"]) == sorted(
-        wire for wire in WIRES + list(FERIC.supply_wires) if not (open_ports and wire[1].endswith(open_ports))
-    )
+    wires = [wire for wire in (*WIRES, *FERIC.supply_wires) if not wire[1].endswith(open_ports)]
+    assert sorted(seen["wires"]) == sorted(wires)
     assert set(seen["models"]) == {end.split(".")[0] for wire in seen["wires"] for end in wire}
     assert (seen["stop"], seen["step_size"], seen["block_initialization"]) == (STOP, 5e-3, True)
-
-
-METHODS = (  # of a model in OMSimulator 3
-    *("setResultFile", "removeSignalsFromResults", "addSignalsToResults", "setFixedStepSize", "setStopTime"),
-    *("setLoggingInterval", "initialize", "simulate", "terminate", "delete"),
-)
 
 
 def test_omsimulator_records_the_signals_of_the_ssp(fmu_dir, monkeypatch, capsys):

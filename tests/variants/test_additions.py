@@ -34,7 +34,6 @@ CYLINDERS = {
     "cushion": (Cushion, {"length": 0.3, "resistance": 1e12}),
     "regeneration": (Regeneration, {"area": 2e-5}),
 }
-
 HEATS = {"leakage": "leakage_heat", "reliefs": "relief_heat"}
 HEATS |= {"cushion": "throttle_heat", "regeneration": "check_valve_heat"}
 
@@ -60,25 +59,20 @@ def test_flows_of_additions_are_those_of_their_laws():
     added = {name: CYLINDERS[name][0] for name in ("leakage", "reliefs", "regeneration")}
     given = {f"boom_{n}_{k}": v for n in added for k, v in CYLINDERS[n][1].items()}
     of = Part(drives(**added), **given)
-    high, low = (
-        {"boom_head_pressure": 1.2e7, "boom_rod_pressure": 4e6},
-        {"boom_head_pressure": 4e6, "boom_rod_pressure": 1.2e7},
-    )
+    high, low = ({"boom_head_pressure": a, "boom_rod_pressure": b} for a, b in ((1.2e7, 4e6), (4e6, 1.2e7)))
     forward, back = flows(of, high, boom_command=10.0), flows(of, low, boom_command=10.0)
     # at the temperature of the parameters the leakage is as stated; the valve is rounded over 1 bar
     assert forward["leakage"] == pytest.approx(1e-12 * 8e6, rel=1e-12)
-    assert forward["reliefs_head"] == pytest.approx(
-        1e-9 * (1.2e7 - of.u["tank_pressure"] - 8e6 - 0.5e5), rel=1e-12
-    )
+    above = 1.2e7 - of.u["tank_pressure"] - 8e6 - 0.5e5
+    assert forward["reliefs_head"] == pytest.approx(1e-9 * above, rel=1e-12)
     assert forward["reliefs_rod"] == forward["regeneration"] == 0
     rho, discharge = of.p["density"], of.p["valve_discharge_coefficient"]
     # the transition flow of 0.6 L/min at 80 L/min
     assert back["regeneration"] == pytest.approx(discharge * 2e-5 * np.sqrt(2 * 8e6 / rho), rel=1e-3)
     assert flows(of, low, boom_command=of.p["boom_regeneration_command"])["regeneration"] == 0
     half = flows(of, low, boom_command=5.5)["regeneration"] / back["regeneration"]
-    assert half == pytest.approx(
-        (4.5 - 0.2) / (9 - 0.2), rel=1e-3
-    )  # a straight line, its foot rounded over 0.4 V
+    # a straight line, its foot rounded over 0.4 V
+    assert half == pytest.approx((4.5 - 0.2) / (9 - 0.2), rel=1e-3)
 
 
 def test_an_addition_that_does_not_fit_is_told():
@@ -104,8 +98,7 @@ def test_an_addition_does_nothing_by_default(name):
     """Rates and outputs are those of the drives without it, to rounding; its own output is its heat, 0."""
     plain, added = Part(FAMILIES["boom_stick"]["lumped"]), Part(drives(**{name: CYLINDERS[name][0]}))
     rng = np.random.default_rng(1)
-    for _ in range(50):
-        x, u = random_point(plain, rng)
+    for x, u in (random_point(plain, rng) for _ in range(50)):
         (rates, shown), (other_rates, others) = plain(x, **u), added(x, **u)
         assert other_rates == pytest.approx(rates, rel=1e-12)
         assert others == pytest.approx(shown | {f"boom_{HEATS[name]}": 0.0}, rel=1e-12)
@@ -118,8 +111,7 @@ def test_energy_closes_with_an_addition_at_work(name):
     at_work = Part(drives(**{name: group}), **{f"boom_{name}_{n}": v for n, v in values.items()})
     balance = closing_balance(at_work, at_work.expressions["y"][f"boom_{HEATS[name]}"])
     plain, more, rng = Part(FAMILIES["boom_stick"]["lumped"]), 0.0, np.random.default_rng(2)
-    for _ in range(50):
-        x, given = random_point(at_work, rng)
+    for x, given in (random_point(at_work, rng) for _ in range(50)):
         heat, added = balance(x, **given)
         alone = plain(x, **given)[1]["dissipated_power"]
         assert heat - alone == pytest.approx(added, abs=1e-12 * heat)
@@ -164,25 +156,23 @@ def test_an_accumulator_at_the_supply(variant):
     """Shut off it changes nothing; open, it takes oil from the line, and the energy of the supply closes."""
     sub = supply(CONSUMERS, additions={"accumulator": Accumulator})[variant]
     plain, shut = Part(FAMILIES["supply"][variant]), Part(sub)
-    x, own = plain.start(), shut.start()
-    others = [i for i, n in enumerate(shut.states) if n != "accumulator_pressure"]
-    assert own[shut.at("accumulator_pressure")] == shut.p["accumulator_precharge"]
+    x, own, gas = plain.start(), shut.start(), shut.at("accumulator_pressure")
+    others = [i for i in range(own.size) if i != gas]
+    assert own[gas] == shut.p["accumulator_precharge"]
     assert own[others] == pytest.approx(x, rel=1e-12)
     assert shut(own)[0][others] == pytest.approx(plain(x)[0], rel=1e-12)
     at_work = Part(sub, accumulator_conductance=1e-8)
     y, u = at_work.expressions["y"], at_work.expressions["u"]
     delivered = y["supply_pressure"] * y["supply_flow"] - y["tank_pressure"] * y["return_flow"]
-    balance = at_work.of(
-        y["engine_power"] - delivered, at_work.along(y["stored_energy"]), y["dissipated_power"]
-    )
+    powers = y["engine_power"] - delivered, at_work.along(y["stored_energy"]), y["dissipated_power"]
+    balance = at_work.of(*powers)
     rng = np.random.default_rng(3)
     for _ in range(20):
         state = own * rng.uniform(0.9, 1.1, own.size)
-        state[at_work.at("accumulator_pressure")] = rng.uniform(5e6, SUPPLY)
+        state[gas] = rng.uniform(5e6, SUPPLY)
         given = {n: rng.uniform(0, 1e-3) for n in u if "flow" in n}
         power, stored, heat = (b.item() for b in balance(state, **given))
         assert power - stored - heat == pytest.approx(0, abs=1e-9 * (abs(power) + abs(stored) + heat))
-        drop = state[at_work.at("supply_pressure")] - state[at_work.at("accumulator_pressure")]
-        shown = at_work(state, **given)[1]
+        drop, shown = state[at_work.at("supply_pressure")] - state[gas], at_work(state, **given)[1]
         assert shown["throttle_heat"] == pytest.approx(1e-8 * drop**2, rel=1e-12)
-        assert shown["accumulator_pressure"] == state[at_work.at("accumulator_pressure")]
+        assert shown["accumulator_pressure"] == state[gas]

@@ -74,8 +74,7 @@ def drive(name: str) -> Part:
 def test_energy_balance_closes_to_rounding(name):
     """Power in + convected = d(stored)/dt + heat at random states, and no heat is negative."""
     balance, rng = closing_balance(drive(name)), np.random.default_rng(4)
-    for _ in range(100):
-        x, given = random_point(drive(name), rng)
+    for x, given in (random_point(drive(name), rng) for _ in range(100)):
         balance(x, **given)
 
 
@@ -83,8 +82,7 @@ def test_energy_balance_closes_to_rounding(name):
 def test_heat_by_cause_and_powers_by_axis_are_those_of_the_drive(name):
     """They sum to the heat and to what the lines give, from -20 to 80 C; no heat is negative."""
     part, rng = drive(name), np.random.default_rng(7)
-    for _ in range(50):
-        x, u = random_point(part, rng)
+    for x, u in (random_point(part, rng) for _ in range(50)):
         y = part(x, **u)[1]
         heat = y["dissipated_power"]
         heats = [v for n, v in y.items() if n.endswith("_heat")]
@@ -151,8 +149,7 @@ def test_rates_are_exact_and_forces_depend_on_states_alone(name):
             through_line = {moved.replace("torque", "speed"), "tank_pressure", "oil_temperature"}
             assert followed <= (through_line if resistive else set())
         both = part.of(y[f"{moved}_rate"], part.along(y[moved]))
-        for _ in range(20):
-            x, given = random_point(part, rng)
+        for x, given in (random_point(part, rng) for _ in range(20)):
             shown, exact = (v.item() for v in both(x, **given))
             # exact identity, rounding of flows over capacitances; of a load pressure also that of the foot
             # of its step
@@ -165,8 +162,7 @@ def test_rates_are_exact_and_forces_depend_on_states_alone(name):
 def test_oil_is_neither_made_nor_lost(name):
     """What the supply gives and the tank does not get is compressed, in cavities, or swept by the piston."""
     part, rng = drive(name), np.random.default_rng(6)
-    for _ in range(100):
-        x, u = random_point(part, rng)
+    for x, u in (random_point(part, rng) for _ in range(100)):
         p = vars(transcription.warmed(SimpleNamespace(**part.p), u["oil_temperature"]))
         dx, y = part(x, **u)
         state, rate = (dict(zip(part.states, column, strict=True)) for column in (x, dx))
@@ -182,9 +178,9 @@ def test_oil_is_neither_made_nor_lost(name):
                 volumes = {"head": dead + head * at, "rod": dead + rod * (p[f"{a}_stroke"] - at)}
                 for side, volume in volumes.items():
                     # a compensated hose is a node of its own, before the counterbalance valve
-                    own = f"{a}_{side}_valve_pressure" in state
-                    hose = f"{a}_{side}_valve_pressure" if own else f"{a}_{side}_pressure"
-                    chamber = f"{a}_{side}_pressure"
+                    chamber, hose = f"{a}_{side}_pressure", f"{a}_{side}_valve_pressure"
+                    own = hose in state
+                    hose = hose if own else chamber
                     capacitance[chamber] = volume / p["bulk_modulus"]
                     capacitance[hose] = capacitance.get(hose, 0.0) + p[f"{a}_hose_capacitance"]
                     inside = np.pi / 4 * p[f"{a}_hose_bore"] ** 2 * p[f"{a}_hose_length"]
@@ -210,9 +206,8 @@ def test_the_variables_of_own_axes_have_the_name_of_their_axis(variant):
     groups = (sub.parameters, sub.inputs, sub.states, sub.outputs)
     assert [variables(symbols(group)) for group in groups] == [len(quantities(group)) for group in groups]
     p, u, x, y = map(quantities, groups)
-    assert {"density", "valve_leakage", "grab_valve_leakage", "lift_hose_length", "slew_line_length"} <= set(
-        p
-    )
+    known = {"density", "valve_leakage", "grab_valve_leakage", "lift_hose_length", "slew_line_length"}
+    assert known <= set(p)
     assert not [n for n in p if n.startswith(("lift_valve", "slew_valve", "slew_hose", "grab_line"))]
     assert {"supply_pressure", "lift_command", "grab_velocity", "slew_speed"} <= set(u)
     assert {"lift_head_pressure", "grab_rod_pressure", "slew_pressure_a"} <= set(x)

@@ -15,11 +15,8 @@ CASES = {
     "supply": ("load_sensing", printed.supply),
 }
 # numbers that are zero by choice get a size in every second case, so that a wrong term with them shows
-ZEROS = {
-    "line_turbulent_resistance": 1e10,
-    "counterbalance_back_pressure_share": 1.0,
-    "reservoir_pressure": 3e5,
-}
+ZEROS = {"line_turbulent_resistance": 1e10, "counterbalance_back_pressure_share": 1.0}
+ZEROS |= {"reservoir_pressure": 3e5}
 
 
 def random_numbers(rng, own):
@@ -36,8 +33,7 @@ def random_numbers(rng, own):
 def drawn(rng, name, nominal):
     """A state or an input: in and beyond the working range, voids, open reliefs, broken supply."""
     ranges = {"opening": (0, 1), "applied": (0, 1), "stroke": (0, 1), "position": (0, 0.6)}
-    ranges |= {"speed": (0, 300)} if name == "engine_speed" else {}
-    ranges |= {"temperature": (200, 450)}
+    ranges |= {"temperature": (200, 450)} | ({"speed": (0, 300)} if name == "engine_speed" else {})
     kind = name.rpartition("_")[2]
     if name == "tank_pressure":
         return rng.uniform(-1e5, 1e6)
@@ -64,8 +60,8 @@ def test_right_hand_sides_and_observables_are_those_of_the_document(part):
         dx, y = (v.full()[:, 0] for v in f(list(x.values()), list(u.values()), list(p.values())))
         rates, seen = writing(p, x, u)
         assert set(rates) == set(states)
-        theirs = dict(zip(states, dx, strict=True)), dict(zip(outputs, y, strict=True))
-        for ours, found, group in ((rates, theirs[0], states), (seen, theirs[1], outputs)):
+        for ours, column, group in ((rates, dx, states), (seen, y, outputs)):
+            found = dict(zip(group, column, strict=True))
             for name, value in ours.items():
                 # same equations, other order of rounding; differences of flows that nearly cancel
                 assert value == pytest.approx(found[name], rel=1e-9, abs=1e-9 * group[name].nominal), name

@@ -16,7 +16,9 @@ from fmus.machine.parts import FAMILIES
 from fmus.parameters import values
 
 P, S = (values(FAMILIES[part]["compensated"]).p for part in ("boom_stick", "swing"))
-STEP = 1e-3  # s
+STEP, GAIN = 1e-3, 2e-11  # s, m3/(s.Pa) of the test bench
+LOADS = np.array([20e5, 60e5, 100e5, 140e5, 180e5])
+START = {"boom_holding_force": 5e4, "supply_pressure": SUPPLY}
 HEAD = piston_areas(P, "boom")[0]
 
 
@@ -38,9 +40,6 @@ def regulated(port, supply=SUPPLY):
     return P["compensator_setting"] * (1 + P["compensator_droop"] * (supply - port - 5e3 - 1e7))
 
 
-GAIN = 2e-11  # m3/(s.Pa) of the test bench
-
-
 def step_under_load(fmu, load):
     """One step of the boom, whose head chamber the load keeps at a pressure, by a velocity in proportion."""
     pressure, flow = fmu.get("boom_head_pressure", "boom_head_flow")
@@ -48,18 +47,13 @@ def step_under_load(fmu, load):
     fmu.step(STEP)
 
 
-LOADS = np.array([20e5, 60e5, 100e5, 140e5, 180e5])
-START = {"boom_holding_force": 5e4, "supply_pressure": SUPPLY}
-
-
 def flow_at(fmus, load, command):
     """Meter-in flow and port pressure in steady motion against a load."""
     with driving(fmus["boom_stick"], boom_command=command, **START) as fmu:
         for _ in range(1500):
             step_under_load(fmu, load)
-        return fmu.get(
-            "boom_meter_in_flow", "boom_head_valve_pressure", "boom_head_pressure", "boom_rod_valve_pressure"
-        )
+        names = ("meter_in_flow", "head_valve_pressure", "head_pressure", "rod_valve_pressure")
+        return fmu.get(*(f"boom_{n}" for n in names))
 
 
 def test_the_flow_of_a_section_does_not_depend_on_the_load(fmus):
@@ -81,19 +75,18 @@ def test_the_flow_of_a_section_does_not_depend_on_the_load(fmus):
 
 def test_saturated_sections_of_both_drives_share_the_flow_in_the_ratio_of_their_openings(fmus):
     """A pump of 60 % of what is asked for: boom at 150 bar, swing at about 30 bar, in the ratio of q_0 y."""
-    commands, pump = {"boom": 8.0, "swing": 7.0}, 2.0e-3
-    asked = P["boom_section_flow"] * opening(8.0), S["swing_section_flow"] * opening(7.0)
+    pump, asked = 2.0e-3, (P["boom_section_flow"] * opening(8.0), S["swing_section_flow"] * opening(7.0))
     assert pump < 0.7 * sum(asked)
     displacement = S["motor_displacement"] * S["gear_ratio"]
     with (
-        driving(fmus["boom_stick"], boom_command=commands["boom"], **START) as boom,
-        driving(fmus["swing"], swing_command=commands["swing"], supply_pressure=SUPPLY) as swing,
+        driving(fmus["boom_stick"], boom_command=8.0, **START) as boom,
+        driving(fmus["swing"], swing_command=7.0, supply_pressure=SUPPLY) as swing,
     ):
         supply, speed = SUPPLY, 0.0
         for _ in range(4000):
-            loads = (boom["boom_stick_load_pressure"], swing["swing_load_pressure"])
-            boom.set(supply_pressure=supply, load_sensing_pressure=max(loads))
-            swing.set(supply_pressure=supply, load_sensing_pressure=max(loads), swing_speed=speed)
+            sensed = max(boom["boom_stick_load_pressure"], swing["swing_load_pressure"])
+            boom.set(supply_pressure=supply, load_sensing_pressure=sensed)
+            swing.set(supply_pressure=supply, load_sensing_pressure=sensed, swing_speed=speed)
             step_under_load(boom, 150e5)
             swing.step(STEP)
             flow, pressure = swing.get("swing_flow_a", "swing_pressure_a")

@@ -21,9 +21,7 @@ SUB = FAMILIES["boom_stick"]["compensated"]
 P = values(SUB).p
 HEAD, ROD = piston_areas(P, "boom")
 
-
 # ---- stability: Routh's criterion of docs/equations.md, section 4.8
-
 
 STATES = [n for n in quantities(SUB.states) if n.startswith("boom_")]
 # a compensated flow, a counterbalance valve that meters the load, and nothing else: no hose resistance, no
@@ -81,8 +79,9 @@ def steady(p, command, position, load, mass):
     for _ in range(60):
         rates, slope = (v.full() for v in f(z, others, list(p.values()), load, mass))
         z = z - np.linalg.solve(slope, rates[:, 0])
-    assert np.abs(f(z, others, list(p.values()), load, mass)[0].full()).max() < 10.0  # Pa/s of 1e8
-    return dict(zip([*STATES, "speed"], z, strict=True)), f(z, others, list(p.values()), load, mass)[1].full()
+    rates, slope = (v.full() for v in f(z, others, list(p.values()), load, mass))
+    assert np.abs(rates).max() < 10.0  # Pa/s of 1e8
+    return dict(zip([*STATES, "speed"], z, strict=True)), slope
 
 
 def second_factor(p, x, position):
@@ -172,10 +171,8 @@ def test_a_failed_supply_lets_the_boom_sink_by_the_leakage_stated(leakage, comma
 
 
 # each lever in each direction, in the pose of its higher peak; the other pose in the shard
-PEAKS = [
-    *(("boom", 9.0, "reach"), ("boom", -9.0, "nominal")),
-    *(("stick", 9.0, "nominal"), ("stick", -9.0, "nominal")),
-]
+PEAKS = [("boom", 9.0, "reach"), ("boom", -9.0, "nominal")]
+PEAKS += [("stick", 9.0, "nominal"), ("stick", -9.0, "nominal")]
 OTHER = {"nominal": "reach", "reach": "nominal"}
 STROKES = [*PEAKS, *(pytest.param(a, v, OTHER[pose], marks=shards.machine) for a, v, pose in PEAKS)]
 
@@ -184,11 +181,8 @@ STROKES = [*PEAKS, *(pytest.param(a, v, OTHER[pose], marks=shards.machine) for a
 def test_a_stopped_stroke_stays_below_290_bar(lever, command, pose):
     """90 % of full command, closed within 20 ms: no chamber and no hose above the bar, none in vacuum."""
     y = moved(1.1, {f"{lever}_command": ([0, 0.1, 0.2, 0.7, 0.72], [0, 0, command, command, 0])}, pose)
-    found = [
-        v
-        for n, v in y.items()
-        if n.startswith("boom_stick.") and n.endswith(("head_pressure", "rod_pressure", "valve_pressure"))
-    ]
+    ends = ("head_pressure", "rod_pressure", "valve_pressure")
+    found = [v for n, v in y.items() if n.startswith("boom_stick.") and n.endswith(ends)]
     assert len(found) == 8
     assert max(v.max() for v in found) < 290e5
     assert min(v.min() for v in found) > -0.9e5

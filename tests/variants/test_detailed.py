@@ -55,10 +55,10 @@ def test_the_spool_starts_where_its_command_wants_it():
 
 # ---- the limit: stiff walls, no air, a fast spool, relief valves out of the way
 
-
 # few lumps: what differs from `lumped` is the same for one lump and for many
 FEW = {"swing": DETAILED["swing"], "boom_stick": boom_stick.with_lumps({"boom": 1, "stick": 2})}
 PRELOAD = 8e6  # Pa: no line of the swing tears while its valve still opens
+SMALL = 1e-5  # eps that stands for zero: the floor is reached
 
 
 def limit(part: str, eps: float, length: float) -> tuple[dict[str, float], dict[str, float]]:
@@ -115,9 +115,6 @@ def apart(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.sqrt(np.mean((a - b) ** 2, axis=0)).max())
 
 
-SMALL = 1e-5  # eps that stands for zero: the floor is reached
-
-
 @pytest.mark.parametrize("part", LUMPED)
 def test_detailed_tends_to_lumped_with_order_one(part):
     """Compliant walls, air and spool time scaled by eps: the distance to the limit falls with eps.
@@ -141,10 +138,8 @@ def test_the_floor_falls_with_the_square_of_the_hose_length(part):
     valve to actuator, an L-lump 1/(1 + s^2 I (C + C_a)): the difference I C/2 goes with l^2, and so does
     that of the resistance, R C/2.
     """
-    floors = [
-        apart(pressures(part, "detailed", SMALL, k), pressures(part, "lumped", 1.0, k))
-        for k in (1.0, 0.5, 0.25)
-    ]
+    both = (("detailed", SMALL), ("lumped", 1.0))
+    floors = [apart(*(pressures(part, *one, k) for one in both)) for k in (1.0, 0.5, 0.25)]
     changes = -np.diff(floors)  # free of what does not depend on l: 17 Pa of the spool at the swing
     ratios = changes[:-1] / changes[1:]
     # the terms in l^3 are a tenth of those in l^2 at full length

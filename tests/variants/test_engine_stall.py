@@ -16,10 +16,11 @@ BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
 supplies = pytest.mark.parametrize("bench", BENCHES, ids=lambda b: b.sub.variant)
 RPM = np.pi / 30  # rad/s
 IDLE, STALL = 800 * RPM, 600 * RPM
-
-
 # of the engine, besides its speed and fuel
 REST = {"tank_pressure": 4e5, "oil_temperature": 333.15, "reservoir_volume": 0.2}
+PRESSURES = st.lists(st.floats(-1e5, 3e7), min_size=3, max_size=3)
+STROKES = st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2)
+ROWS = st.lists(st.tuples(st.integers(100, 900), st.floats(0.0, 1.9e7)), min_size=1, max_size=2)
 
 
 def torques(speed: float, rated: float) -> tuple[float, float]:
@@ -50,10 +51,6 @@ def test_the_net_torque_falls_to_zero_between_idle_and_stall(bench, rated, zero)
     assert found == pytest.approx(zero, abs=0.1)  # four digits, of which the pages have three
 
 
-PRESSURES = st.lists(st.floats(-1e5, 3e7), min_size=3, max_size=3)
-STROKES = st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2)
-
-
 @supplies
 @given(st.floats(0.0, STALL), st.floats(0.0, 600.0), PRESSURES, STROKES)
 def test_at_stall_speed_and_below_nothing_drives_the_engine(bench, speed, fuel, pressures, strokes):
@@ -67,10 +64,7 @@ def test_at_stall_speed_and_below_nothing_drives_the_engine(bench, speed, fuel, 
 
 @supplies
 @examples(8)
-@given(
-    st.lists(st.tuples(st.integers(100, 900), st.floats(0.0, 1.9e7)), min_size=1, max_size=2),
-    st.floats(60.0, 300.0),
-)
+@given(ROWS, st.floats(60.0, 300.0))
 def test_a_stalled_engine_stays_stalled(bench, rows, rated):
     """Any row of loads, then none: from the stall speed on it slows down to 0, and stays there."""
     loads = [Load(q * L_MIN / 1e3, load) for q, load in rows] + [Load(0.0)] * 2
@@ -88,13 +82,11 @@ def test_a_stalled_engine_stays_stalled(bench, rows, rated):
 
 def test_the_weak_engine_stalls_and_the_strong_one_does_not():
     """What the last test draws has both: three functions at once, on 60, 120 and 433 N.m."""
-    ends = {}
     for bench in BENCHES:
-        for rated in (60.0, 120.0, 433.0):
+        for rated, runs in ((60.0, False), (120.0, False), (433.0, True)):
             p = bench.constants(engine_rated_torque=rated)
             _, y = bench.through([Load(400 * L_MIN / 1e3, 1.6e7)], p, 3.0, 2)
-            ends[bench.sub.variant, rated] = y["engine_speed"][-1] > STALL
-    assert list(ends.values()) == [False, False, True] * 2
+            assert (y["engine_speed"][-1] > STALL) == runs, (bench.sub.variant, rated)
 
 
 @pytest.mark.parametrize(("limit", "runs"), [(385.0, False), (250.0, True), (100.0, True)])
@@ -121,7 +113,6 @@ def test_the_card_tells_when_the_engine_stalled(system, bench):
     for name, limit, end in (("idle", IDLE, ""), ("stall", STALL, ": the engine has stalled and does not")):
         (line,) = (w for w in done.card.warnings if f"engine_speed_below_{name} = " in w)
         found = re.match(rf"supply: \S+ = (\S+) rad/s at t = (\S+) s is above 0 rad/s{end}", line)
-        crossed = np.argmax(speed < limit)
-        at = float(found[2])
+        crossed, at = np.argmax(speed < limit), float(found[2])
         assert time[crossed - 1] < at <= time[crossed]  # a row, or within a step that was divided
         assert float(found[1]) == pytest.approx(limit - np.interp(at, time, speed), abs=2e-3)  # curvature

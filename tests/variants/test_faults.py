@@ -6,12 +6,12 @@ import pytest
 from kit.cranes import machine
 from kit.drives import closing_balance, random_point
 from kit.equations import Part
+from kit.mistakes import problem
 from variants.test_additions import flows
 
 from fmus.contract import quantities
 from fmus.machine.parts import FERIC, with_faults
 from orchestrator import run
-from orchestrator.base.errors import Problem
 
 MACHINE = with_faults()
 CASES = [(part, v) for part, vs in MACHINE.families.items() for v in vs if part != "manipulator"]
@@ -36,11 +36,9 @@ def state(of, rng):
 @pytest.mark.parametrize(("part", "variant"), CASES)
 def test_without_a_fault_a_part_is_healthy(part, variant):
     """Rates and outputs are those of the part without faults, to rounding."""
-    healthy, faulty = Part(FERIC.families[part][variant]), Part(MACHINE.families[part][variant])
-    rng = np.random.default_rng(1)
-    none = dict.fromkeys(faults(faulty.sub), 0.0)
-    for _ in range(20):
-        x, u = state(healthy, rng)
+    healthy, faulty = (Part(machine.families[part][variant]) for machine in (FERIC, MACHINE))
+    none, rng = dict.fromkeys(faults(faulty.sub), 0.0), np.random.default_rng(1)
+    for x, u in (state(healthy, rng) for _ in range(20)):
         for found, expected in zip(faulty(x, **u, **none), healthy(x, **u), strict=True):
             found = found if isinstance(found, np.ndarray) else {n: found[n] for n in expected}
             assert found == pytest.approx(expected, rel=1e-12)
@@ -58,9 +56,8 @@ def test_every_fault_acts(part, variant):
     for k in range(30):
         x, u = state(of, rng)
         # cold oil does not reach the cooler; a relief valve acts from its pressure on
-        x = np.array([345.0 if n == "oil_temperature" else v for n, v in zip(of.states, x, strict=True)])
-        declared = quantities(sub.inputs)
-        share = 0.95 if k % 2 else 0.05
+        x = np.where(np.array(of.states, str) == "oil_temperature", 345.0, x)
+        declared, share = quantities(sub.inputs), 0.95 if k % 2 else 0.05
         u |= {n: share * declared[n].maximum if n.endswith("loss") else 0.01 for n in names}
         slope = slopes(x, list((of.u | u).values()), list(of.p.values())).full()[:, columns]
         found = np.maximum(found, np.abs(slope).max(axis=0))
@@ -85,8 +82,7 @@ def test_energy_closes_with_faults_at_work(variant):
     """Power in + convected = d(stored)/dt + heat, with leaks, seals and air."""
     of = Part(MACHINE.families["boom_stick"][variant])
     balance, rng, declared = closing_balance(of), np.random.default_rng(3), quantities(of.sub.inputs)
-    for _ in range(20):
-        x, given = state(of, rng)
+    for x, given in (state(of, rng) for _ in range(20)):
         balance(x, **given | {n: declared[n].nominal * rng.uniform(0, 0.5) for n in faults(of.sub)})
 
 
@@ -108,11 +104,9 @@ def test_a_valve_with_a_fault():
     assert moving[at["boom"]] > 0
     assert stuck[at["boom"]] == 0
     assert stuck[at["stick"]] == moving[at["stick"]]
-    dead = of(x, boom_command=8.0, boom_driver_loss=1.0)[0]
-    assert dead[at["boom"]] < 0
-    inside, wide = (
-        of(x, boom_command=2.0 + half + 0.2, boom_hysteresis_added=h)[0][at["boom"]] for h in (0.0, 0.1)
-    )
+    assert of(x, boom_command=8.0, boom_driver_loss=1.0)[0][at["boom"]] < 0
+    command = 2.0 + half + 0.2
+    inside, wide = (of(x, boom_command=command, boom_hysteresis_added=h)[0][at["boom"]] for h in (0.0, 0.1))
     assert inside > 1.0  # V/s
     assert abs(wide) < 1e-3
 
@@ -149,10 +143,9 @@ def test_an_input_takes_values_at_times(fmu_dir):
         ({"boom_command": "inf@1s"}, "expected finite numbers"),
         ({"boom_command": "3@soon"}, "expected a number of seconds"),
     ):
-        with pytest.raises(Problem, match=message):
-            run(fmu, stop=2, fault=fault)
-    with pytest.raises(Problem, match="expected an input that the scenario does not drive"):
-        run(fmu, jumps, fault={"boom_command": "1@0.1s"})
+        problem(lambda fault=fault: run(fmu, stop=2, fault=fault), message)
+    driven = "expected an input that the scenario does not drive"
+    problem(lambda: run(fmu, jumps, fault={"boom_command": "1@0.1s"}), driven)
 
 
 def test_a_leak_is_in_front_of_the_counterbalance_valve():

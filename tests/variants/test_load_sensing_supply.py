@@ -18,8 +18,8 @@ FULL = P["main_pump_displacement"] * P["engine_rated_speed"]  # m3/s at rated sp
 LIMIT = P["pressure_cut_off"] - P["load_sensing_relief_difference"]
 SHUTTLE = 0.09375 * 5e4  # Pa: two equal pressures at a shuttle valve, 3/32 of its rounding
 CLOSED = P["return_preload"] + SHUTTLE  # Pa in the load-sensing line while all valves are closed
-# integrator, and what is left of the transient
-SETTLED = 1e-5
+SETTLED = 1e-5  # integrator, and what is left of the transient
+ROWS = st.lists(st.tuples(st.integers(0, 600), st.floats(0.0, 2.5e7)), min_size=3, max_size=6)
 
 
 def drop(flow: float) -> float:
@@ -75,9 +75,6 @@ def regulated(flow: float, setting: float, band: float) -> float:
 def wide(flow: float, load: float) -> Load:
     """A valve that takes a flow at the margin less half its band."""
     return Load(flow / np.sqrt(P["margin"] - P["margin_band"] / 2), load)
-
-
-# ---- the margin
 
 
 def test_margin_at_standstill_is_what_the_regulator_leaves_for_the_leakage():
@@ -147,9 +144,6 @@ def test_flow_of_a_valve_does_not_depend_on_its_load():
     assert np.ptp(flows) < 0.02 * np.mean(flows)
 
 
-# ---- cut-off, power, full stroke
-
-
 @pytest.mark.parametrize("load", [LIMIT, 2.5e7])
 def test_a_stalled_stroke_ends_at_the_cut_off(load):
     """No flow, load pressure at the limit or beyond: line at its relief valve, pump at the cut-off."""
@@ -171,9 +165,9 @@ def test_power_limit_holds_the_torque(load):
     """Valve too wide: pressure times flow of the swash plate = torque limit times speed, at any load."""
     y = BENCH.settled(wide(2 * FULL, load))
     flow = y["pump_flow"] + P["main_pump_leakage"] * y["pump_pressure"]
+    power = P["torque_limit"] * y["engine_speed"]
     assert 0.8 < y["pump_stroke"] < 0.96
     # rounding of the lowest stroke, (0.01)^2 / (4 * 0.9), and the integrator
-    power = P["torque_limit"] * y["engine_speed"]
     assert y["pump_pressure"] * flow == pytest.approx(power, rel=1e-3)
     assert y["engine_load"] < P["engine_rated_torque"]
     assert y["engine_speed"] > P["engine_rated_speed"]  # the engine is not lugged down
@@ -195,9 +189,6 @@ def test_inverse_of_the_ramp(y, width):
     """ramp(ramp_inverse(y)) = y."""
     back = float(smooth.ramp(smooth.ramp_inverse(ca.DM(y), width), width))
     assert back == pytest.approx(y, rel=1e-9, abs=1e-300)  # rounding of a cube root
-
-
-# ---- times
 
 
 def test_from_standby_to_full_flow_takes_the_stroke_time():
@@ -224,10 +215,7 @@ def test_after_a_stroke_the_pressure_falls_to_standby():
 
 
 @examples(25)
-@given(
-    st.lists(st.tuples(st.integers(0, 600), st.floats(0.0, 2.5e7)), min_size=3, max_size=6),
-    st.floats(0.1, 0.6),
-)
+@given(ROWS, st.floats(0.1, 0.6))
 def test_limits_hold_for_any_row_of_loads(rows, hold):
     """The load-sensing line stays below its relief valve, no stall, no run-away."""
     _, y = BENCH.through([wide(q * L_MIN, load) for q, load in rows], BENCH.constants(), hold, 20)

@@ -41,9 +41,8 @@ def random_state(v, rng):
     The payload [kg] comes or goes.
     """
     ranges = {"swing_angle": 3.0, "head_angle": 3.0, "head_side_angle": 1.3, "payload_flow": 1e3}
-    x = np.array(
-        [rng.uniform(-1, 1) * (1e-4 if n.endswith("bristle") else ranges.get(n, 1.0)) for n in v.states]
-    )
+    sizes = (1e-4 if n.endswith("bristle") else ranges.get(n, 1.0) for n in v.states)
+    x = np.array([rng.uniform(-1, 1) * size for size in sizes])
     x[1:3] = rng.uniform(-0.4, 0.95), rng.uniform(-2.1, -0.65)
     x[v.at("held_mass")] = rng.uniform(0.0, 500.0)
     return x
@@ -51,9 +50,6 @@ def random_state(v, rng):
 
 def random_forces(rng):
     return {name: rng.normal(0, size) for name, size in zip(FORCES, (1e4, 1e5, 1e5), strict=True)}
-
-
-# ---- what all variants keep
 
 
 @variants
@@ -66,18 +62,14 @@ def test_power_in_is_power_stored_and_heat(name):
     for _ in range(100):
         x, forces = random_state(v, rng), random_forces(rng)
         x[1] += rng.choice([0.0, 1.5])  # a third of the poses lie in a stop
-        u = v.u | forces
         _, y = v(x, **forces)
-        powers = [u["swing_torque"] * y["swing_speed"], y["payload_power"]]
-        for a in ("boom", "stick"):
-            powers.append(u[f"{a}_force"] * y[f"{a}_velocity"])
-        stored = rate(x, **forces)[0].item()
-        heat = y["dissipated_power"]
+        powers = [forces["swing_torque"] * y["swing_speed"], y["payload_power"]]
+        powers += [forces[f"{a}_force"] * y[f"{a}_velocity"] for a in ("boom", "stick")]
+        stored, heat = rate(x, **forces)[0].item(), y["dissipated_power"]
         assert heat >= 0
         # exact identity; 1e-12 is 1e4 rounding errors of the largest power, times the condition of M
-        assert sum(powers) - stored - heat == pytest.approx(
-            0, abs=1e-12 * sum(map(abs, (*powers, stored, heat)))
-        )
+        size = sum(map(abs, (*powers, stored, heat)))
+        assert sum(powers) - stored - heat == pytest.approx(0, abs=1e-12 * size)
 
 
 @variants
@@ -119,9 +111,6 @@ def test_only_accelerations_and_joint_torques_follow_the_forces_at_once(name):
     assert direct == accelerations | {"boom_torque", "stick_torque"}
 
 
-# ---- the head
-
-
 @heads
 def test_damping_of_the_head_is_the_ratio_that_its_note_says(name):
     """With the arm held, both axes have sqrt(m g L / (J + m L^2)) [rad/s] and a tenth of critical damping."""
@@ -147,9 +136,8 @@ def test_a_head_that_is_pulled_out_of_its_stop_is_let_go(name):
     """However fast the yoke leaves its stop, the stop pushes or does nothing."""
     v = variant(name)
     angle, c = v.p["head_stop_angle"] + 0.05, v.p["head_stop_damping"]
-    torques = [
-        v(v.start(head_side_angle=angle, head_side_speed=-f / c))[1]["head_stop_torque"] for f in (0, 1, 3)
-    ]
+    states = (v.start(head_side_angle=angle, head_side_speed=-f / c) for f in (0, 1, 3))
+    torques = [v(x)[1]["head_stop_torque"] for x in states]
     assert torques == sorted(torques)
     assert -1e-2 * v.p["head_stop_stiffness"] < torques[-1] < 0
 
@@ -208,8 +196,7 @@ def test_side_angle_near_the_singular_position_is_an_error(name):
     for angle, failing in ((0.0, 0), (1.39, 0), (1.41, 1), (-1.41, 1)):
         found = check(v.start(head_side_angle=angle))[0][:, 0]
         bad = [s for s, value in zip(v.model.statements, found, strict=True) if not value > 0]
-        assert len(bad) == failing
-        assert all(s.startswith("head_side_angle") for s in bad)
+        assert [s.startswith("head_side_angle") for s in bad] == [True] * failing
 
 
 # ---- dry friction
@@ -235,8 +222,7 @@ def test_steady_slip_follows_the_stribeck_curve(v):
         return [lugre(v, z[0], DRY_PISTON, 2e4).deflection_rate]
 
     run = solve_ivp(rate, (0, 2e-3 / abs(v)), [0.0], "Radau", rtol=1e-9, atol=1e-15)
-    r = lugre(v, run.y[0, -1], DRY_PISTON, 2e4)
-    dry = DRY_PISTON
+    r, dry = lugre(v, run.y[0, -1], DRY_PISTON, 2e4), DRY_PISTON
     g = dry.coulomb * (1 + (dry.static_ratio - 1) * math.exp(-((v / dry.stribeck_speed) ** 2)))
     # the rounding of |v|, 5 um/s: (5e-6 / v)^2 / 2 = 3e-4 at the slowest
     assert r.force == pytest.approx(math.copysign(g, v) + 2e4 * v, rel=5e-4)
@@ -246,14 +232,13 @@ def test_steady_slip_follows_the_stribeck_curve(v):
 
 def pulled(top, seconds=2.0, mass=500.0):
     """Displacement [m] and forces [N] over time of a mass that a growing force up to `top` pulls."""
-    run = solve_ivp(
-        lambda t, x: [
-            x[1],
-            (top * min(t / seconds, 1.0) - lugre(x[1], x[2], DRY_PISTON, 0.0).force) / mass,
-            lugre(x[1], x[2], DRY_PISTON, 0.0).deflection_rate,
-        ],
-        (0, 1.5 * seconds), [0.0, 0.0, 0.0], "Radau", max_step=0.01, rtol=1e-7, atol=1e-10,
-    )  # fmt: skip
+
+    def rates(t, x):
+        r = lugre(x[1], x[2], DRY_PISTON, 0.0)
+        return [x[1], (top * min(t / seconds, 1.0) - r.force) / mass, r.deflection_rate]
+
+    options = {"max_step": 0.01, "rtol": 1e-7, "atol": 1e-10}
+    run = solve_ivp(rates, (0, 1.5 * seconds), [0.0, 0.0, 0.0], "Radau", **options)
     return run.y[0], top * np.minimum(run.t / seconds, 1.0)
 
 
@@ -338,13 +323,12 @@ def test_variant_without_coulomb_friction_is_the_one_without_bristles(name):
     plain = variant({"friction": "rigid", "pendulum_friction": "pendulum"}[name])
     rng = np.random.default_rng(3)
     bare = variant(name, **{n: 0.0 for n in P if n.endswith("_coulomb")})
+    shared = [bare.at(n) for n in plain.states]
     for _ in range(20):
         x, forces = random_state(bare, rng), random_forces(rng)
-        same = x[[bare.states.index(n) for n in plain.states]]
-        (dx, y), (dx0, y0) = bare(x, **forces), plain(same, **forces)
-        ours = {n: dx[bare.states.index(n)] for n in plain.states}
+        (dx, y), (dx0, y0) = bare(x, **forces), plain(x[shared], **forces)
         # exact identity, rounding only
-        np.testing.assert_allclose(list(ours.values()), dx0, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(dx[shared], dx0, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose([y[n] for n in y0], list(y0.values()), rtol=1e-12, atol=1e-12)
 
 

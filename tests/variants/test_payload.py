@@ -14,8 +14,6 @@ from fmus.machine.work_cycle import STEMS, WITH_STEMS, payload
 from fmus.manipulator import VARIANTS
 from orchestrator import run
 
-# ---- momentum
-
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_mass_that_is_dropped_gives_no_impulse(name):
@@ -54,18 +52,13 @@ def test_force_of_the_pick_up_is_flow_times_velocity(name):
         assert taking["dissipated_power"] == pytest.approx(heat, rel=1e-9)
 
 
-# ---- programs
-
-
 def test_operator_gives_the_stems_of_its_program(fmu_dir):
     """Steps at start and end of each stem, as declared; the FMU stands at them to the millisecond."""
-    program = {
-        f"payload_{n}_{k}": getattr(s, k) for n, s in enumerate(STEMS, 1) for k in ("start", "mass", "hold")
-    }
+    kinds = ("start", "mass", "hold")
+    program = {f"payload_{n}_{k}": getattr(s, k) for n, s in enumerate(STEMS, 1) for k in kinds}
     with driving(fmu_dir / "operator_input.fmu", **program) as operator:
         for n in range(42):
-            expected = payload(STEMS, np.array([float(n)]))[0]
-            assert operator.get("payload_mass")[0] == expected
+            assert operator["payload_mass"] == payload(STEMS, np.array([float(n)]))[0]
             operator.step(1.0)
 
 

@@ -23,17 +23,13 @@ from fmus.parameters import Values, values
 # 4 m of 3/4 in
 HOSE = Friction.of(HoseSize(length=4.0, bore=0.01905), 4e10, equations.OIL)
 QUASISTATIC = {part: FAMILIES[part]["quasistatic"] for part in ("swing", "boom_stick")}
-
 pressures = st.floats(-2e5, 4e7)
-commands = st.floats(-12.0, 12.0)
-drops = st.floats(-4e7, 4e7)
 
 
 def ports(command, a, b, supply=equations.SUPPLY, tank=0.0, valve=equations.VALVE, hose=HOSE):
     """Both ports as numbers."""
-    found = spool_valve.ports_from_pressure(
-        valve, command, (a, b), equations.lines(supply, tank), equations.OIL, hose
-    )
+    around = equations.lines(supply, tank), equations.OIL, hose
+    found = spool_valve.ports_from_pressure(valve, command, (a, b), *around)
     return [{n: float(ca.DM(v)) for n, v in vars(port).items()} for port in found]
 
 
@@ -42,9 +38,6 @@ def edge(command: float) -> tuple[float, float]:
     area = 4e-5 * equations.number(spool_valve.opening(abs(command), 0.6, 10.0, 0.4))
     laminar = 10.0 * 0.02 / 970.0 * math.sqrt(math.pi * (area + 1e-9)) / 2
     return (0.62 * area) ** 2 * 2 / 970.0, laminar
-
-
-# ---- the edges
 
 
 @given(st.floats(-0.6, 0.6), pressures, pressures, st.floats(0, 1e6))
@@ -59,9 +52,8 @@ def test_a_closed_valve_passes_exactly_the_stated_leakage(command, a, b, tank):
 def test_an_open_edge_has_a_finite_slope_at_zero_pressure_difference(command):
     """1/(Q_t/K^2 + R) + G_leak there, by the derivative of the equations; R of the hose, laminar."""
     pressure = ca.SX.sym("pressure")
-    supplied, _ = spool_valve.ports_from_pressure(
-        equations.VALVE, command, (pressure, 0.0), equations.lines(), equations.OIL, HOSE
-    )
+    around = equations.lines(), equations.OIL, HOSE
+    supplied, _ = spool_valve.ports_from_pressure(equations.VALVE, command, (pressure, 0.0), *around)
     slope = ca.Function("slope", [pressure], [-ca.jacobian(supplied.supply, pressure)])
     square, laminar = edge(command)
     resistance = 128 * 0.02 * 4.0 / (math.pi * 0.01905**4)
@@ -93,9 +85,6 @@ def test_trial_states_of_a_solver_give_finite_rates(part, pressure):
     assert all(np.isfinite(np.array(part)).all() for part in found)
 
 
-# ---- the drives
-
-
 def settled(part, variant, **inputs):
     """Outputs of a drive moved at a constant speed in place, once its states have settled."""
     drive = equations.Part(FAMILIES[part][variant])
@@ -108,10 +97,8 @@ def settled(part, variant, **inputs):
 def test_steady_cylinder_speed_has_the_closed_form_of_the_lumped_drive(name, command, load):
     """At the velocity of a load F by the closed form the force is F (verification case V07)."""
     p = values(QUASISTATIC["boom_stick"]).p
-    moved = {
-        f"{name}_command": command,
-        f"{name}_velocity": equations.steady_velocity(p, name, command, load),
-    }
+    velocity = equations.steady_velocity(p, name, command, load)
+    moved = {f"{name}_command": command, f"{name}_velocity": velocity}
     force = settled("boom_stick", "quasistatic", **moved)[f"{name}_force"]
     # Q_t/Q to the square and the leakage of the closed edges over the flow: below 1e-3 of P_s A
     assert force == pytest.approx(load, abs=1e-3 * equations.SUPPLY * equations.piston_areas(p, name)[0])
@@ -121,17 +108,14 @@ def test_steady_cylinder_speed_has_the_closed_form_of_the_lumped_drive(name, com
 def test_steady_swing_torque_is_that_of_the_lumped_drive(command, speed):
     """Same torque and supply flow at the same speed: the lines have the same friction, in other places."""
     moved = {"swing_command": command, "swing_speed": speed}
-    found = {v: settled("swing", v, **moved) for v in ("lumped", "quasistatic")}
+    lumped, found = (settled("swing", v, **moved) for v in ("lumped", "quasistatic"))
     p = values(FAMILIES["swing"]["lumped"]).p
     d = p["motor_displacement"] * p["gear_ratio"]
-    torques = [found[v]["swing_torque"] for v in ("lumped", "quasistatic")]
     # the leakage of the closed edges in the turbulent term: 1e-3 of P_s D
-    assert torques[0] == pytest.approx(torques[1], abs=1e-3 * equations.SUPPLY * d)
+    assert lumped["swing_torque"] == pytest.approx(found["swing_torque"], abs=1e-3 * equations.SUPPLY * d)
     # the same leakage; 0.1 %
-    assert found["quasistatic"]["supply_flow"] == pytest.approx(found["lumped"]["supply_flow"], rel=1e-3)
+    assert found["supply_flow"] == pytest.approx(lumped["supply_flow"], rel=1e-3)
 
-
-# ---- the limit of short hoses
 
 MOTION = {"swing_command": 4.0, "boom_command": 5.0, "stick_command": 4.0}  # V
 SIGNALS = (*PRESSURES, *(f"manipulator.{joint}_speed" for joint in equations.JOINTS))
@@ -145,12 +129,11 @@ def scaled(length: float, variant: str) -> dict[str, Values]:
     of_length = {
         "swing": ("line_length", "line_inertance", "line_resistance", "line_turbulent_resistance"),
         "boom_stick": ("hose_length", "hose_inertance", "hose_capacitance", "hose_resistance"),
-        "manipulator": (),
     }
     numbers = {}
     for part, sub in FERIC.chosen(swing=variant, boom_stick=variant).items():
-        v = values(sub)
-        p = {n: x * length if n.endswith(of_length[part]) and of_length[part] else x for n, x in v.p.items()}
+        v, ends = values(sub), of_length.get(part, ())
+        p = {n: x * length if n.endswith(ends) else x for n, x in v.p.items()}
         numbers[part] = Values(p | ({"valve_leakage": 1e-17} if "valve_leakage" in p else {}), v.u, v.x)
     return numbers
 
@@ -183,9 +166,6 @@ def test_lumped_drives_tend_to_quasistatic_ones_with_the_length_of_their_hoses()
     # and it is small beside 1e7 Pa and 0.5 rad/s at a sixteenth of the length: measured 2e-4
     size = np.array([1e7] * len(PRESSURES) + [0.5] * 3)
     assert np.all(distance(1 / 16) < 1e-3 * size)
-
-
-# ---- the machine
 
 
 def test_the_work_cycle_is_near_that_of_the_lumped_drives():

@@ -19,8 +19,7 @@ def moved(stop, commands, **variants):
 def test_cross_port_relief_limits_the_braking_of_the_swing():
     """The valve closed at once at speed: `lumped` goes far above the set pressure, `detailed` does not."""
     brake = {"swing_command": ([0.0, 0.1, 1.5, 1.505], [0.0, 9.0, 9.0, 0.0])}
-    usual = moved(2.2, brake)
-    fine = moved(2.2, brake, swing="detailed")
+    usual, fine = moved(2.2, brake), moved(2.2, brake, swing="detailed")
     p = values(FERIC.chosen(swing="detailed")["swing"]).p
 
     def difference(y):
@@ -59,14 +58,12 @@ def test_anti_cavitation_valves_leave_a_fifth_of_the_cavity():
 def test_a_port_below_the_vapour_pressure_is_a_warning(fmu_dir):
     """Motor ports of a driven column, behind a closed valve: a message, and a line of the card."""
     time, part = np.array([0.0, 0.1, 0.11, 0.2]), "swing_lumped"
-    result = run(
-        native(part, fmu_dir), Trace(time, {"swing_speed": np.array([0.0, 0.0, 5.0, 5.0])}), step=1e-3
-    )
+    turned = Trace(time, {"swing_speed": np.array([0.0, 0.0, 5.0, 5.0])})
+    result = run(native(part, fmu_dir), turned, step=1e-3)
     lowest = min((result.trace[f"{part}.swing_motor_pressure_{line}"].min(), line) for line in "ab")
     assert lowest[0] < -101325.0  # below vacuum, while the steps have the status OK
-    told = [m.text for m in result.messages if m.text.startswith(f"swing_motor_pressure_{lowest[1]} = ")]
-    assert len(told) == 1
-    assert "is below -20000 Pa" in told[0]
+    (told,) = (m.text for m in result.messages if m.text.startswith(f"swing_motor_pressure_{lowest[1]} = "))
+    assert "is below -20000 Pa" in told
     (line,) = (n for n in result.card.text().splitlines() if f": swing_motor_pressure_{lowest[1]} = " in n)
     assert " is below -20000 Pa" in line
 
@@ -74,11 +71,10 @@ def test_a_port_below_the_vapour_pressure_is_a_warning(fmu_dir):
 @pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
 def test_a_pressure_beyond_the_class_is_a_warning_where_no_relief_limits_it(fmu_dir, variant):
     """Closed valve, shaft driven: one message for each excursion above 350 bar; `detailed` stays below."""
-    part = f"swing_{variant}"
+    part, excursions = f"swing_{variant}", {}
     time = np.array([0.0, 0.1, 0.11, 0.15, 0.17, 0.25, 0.26, 0.4, 0.41, 0.45, 0.47, 0.55, 0.56, 0.7])
     speed = 0.5 * np.array([0, 0, 1, 1, -1, -1, 0, 0, 1, 1, -1, -1, 0, 0])  # rad/s
     done = run(native(part, fmu_dir), Trace(time, {"swing_speed": speed}), step=1e-3)
-    excursions = {}
     for line in ("a", "b"):
         above = done.trace[f"{part}.swing_pressure_{line}"] > 35e6
         messages = [m.text for m in done.messages if m.text.startswith(f"swing_pressure_{line} = ")]

@@ -44,10 +44,9 @@ def test_the_noise_is_white_and_of_unit_variance():
 def test_a_reading_has_noise_and_resolution():
     """Over 2000 samples at a constant pressure: multiples of the resolution, mean within its error."""
     x = OF.start(pressure_lagged=1.2e7, pressure_delayed=1.2e7)
-    clock = OF.at("clock")
     found = []
     for k in range(2000):
-        x[clock] = (k + 0.5) * P["noise_period"]
+        x[OF.at("clock")] = (k + 0.5) * P["noise_period"]
         found.append(reading(OF, x))
     steps = np.array(found) / P["pressure_resolution"]
     assert steps == pytest.approx(np.round(steps), abs=1e-9)

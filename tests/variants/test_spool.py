@@ -23,8 +23,11 @@ def moving(w, z, speed, overlaps=(0.06,) * 4) -> Spool:
 
 
 SPOOL = moving(W, Z, V_MAX)
+UNEQUAL = moving(W, Z, V_MAX, (0.06, 0.1, 0.2, 0.3))
 STEP = 2e-4  # s
-
+ROUNDING = 0.04  # of the foot, as share of the stroke
+anything = st.floats(-1.0, 1.0)
+frequencies, dampings, fastest = st.floats(10.0, 1000.0), st.floats(0.2, 1.5), st.floats(1.0, 100.0)
 _x, _v, _u, _w, _z, _m = (ca.SX.sym(n) for n in ("x", "v", "u", "w", "z", "m"))
 _RATES = spool_valve.spool_rates(moving(_w, _z, _m), SpoolState(_x, _v), _u)
 FIELD = ca.Function("field", [_x, _v, _u, _w, _z, _m], [_RATES.position, _RATES.speed])
@@ -60,10 +63,6 @@ def test_full_step_takes_the_rate_limit():
     assert found[-1, 0] == pytest.approx(1.0, abs=1e-6)  # 0.2 s are 27 time constants of the approach
 
 
-anything = st.floats(-1.0, 1.0)
-frequencies, dampings, fastest = st.floats(10.0, 1000.0), st.floats(0.2, 1.5), st.floats(1.0, 100.0)
-
-
 @given(anything, anything, frequencies, dampings, fastest, st.booleans())
 def test_the_largest_speed_is_never_exceeded(x, u, w, z, v_max, up):
     """At |v| = v_max the speed does not grow, for any position, command and parameters of the spool."""
@@ -78,10 +77,6 @@ def test_the_stroke_is_never_exceeded(x, u, w, z, v_max, end):
     v = z * w * (end - x)
     speed, rate = (float(r) for r in FIELD(x, v, u, w, z, v_max))
     assert end * (rate + z * w * speed) <= 1e-10 * w * w  # d/dt (v - z w (end - x)); rounding
-
-
-ROUNDING = 0.04  # of the foot, as share of the stroke
-UNEQUAL = moving(W, Z, V_MAX, (0.06, 0.1, 0.2, 0.3))
 
 
 @given(anything)

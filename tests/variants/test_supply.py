@@ -59,15 +59,12 @@ def test_ideal_source_holds_its_pressure_for_any_flow(flows):
     row = inputs_of(IDEAL, flows)
     y = IDEAL.show([], row, IDEAL.constants(reservoir_pressure=1e5))
     u = dict(zip(IDEAL.inputs, row, strict=True))
-    taken = u["supply_flow_swing"] + u["supply_flow_boom_stick"]
-    given_back = u["return_flow_swing"] + u["return_flow_boom_stick"]
+    drives = ("swing", "boom_stick")
+    taken, given_back = (sum(u[f"{line}_flow_{d}"] for d in drives) for line in ("supply", "return"))
     assert (y["supply_pressure"], y["supply_pressure_rate"], y["tank_pressure"]) == (SETTING, 0.0, 1e5)
     # exact identity; rounding of 2e5 W
     assert y["hydraulic_power"] == pytest.approx(SETTING * taken - 1e5 * given_back, rel=1e-12, abs=1e-9)
     assert y["engine_power"] == y["hydraulic_power"]
-
-
-# ---- closed forms of the steady state
 
 
 @pytest.mark.parametrize("flow", [10, 50, 150, 250])
@@ -107,9 +104,8 @@ def test_engine_lugs_down_to_where_its_curve_meets_the_pumps():
     assert y["engine_speed"] == pytest.approx(speed, rel=1e-3)
     assert y["pump_1_pressure"] == pytest.approx(lines(speed), rel=1e-3)
     # the same numbers in closed form: rounding and the integrator
-    assert y["engine_load"] == pytest.approx(
-        load(y["engine_speed"], y["pump_1_stroke"], y["pump_1_pressure"]), rel=1e-6
-    )
+    of_both = load(y["engine_speed"], y["pump_1_stroke"], y["pump_1_pressure"])
+    assert y["engine_load"] == pytest.approx(of_both, rel=1e-6)
 
 
 def test_staggered_settings_let_one_pump_do_the_small_flows():
@@ -137,9 +133,8 @@ def test_the_return_line_has_its_preload_and_the_drop_to_the_tank(bench):
 def test_the_bypass_valve_limits_the_drop_of_the_filter(bench, resistance, flow):
     """Resistance and bypass valve in parallel, by hand; without it 10, 9.6 and 4.8 bar."""
     slope, half = 1 / resistance, bench.p["return_bypass_rounding"] / 2
-    drop = (flow + slope * 25e3 + 5e-8 * (3e5 + half)) / (
-        slope + 5e-8
-    )  # 25 kPa: half of the check's rounding
+    half_of_check = 25e3  # Pa, of its rounding
+    drop = (flow + slope * half_of_check + 5e-8 * (3e5 + half)) / (slope + 5e-8)
     assert 3e5 + 2 * half < drop < 5e5
     x = bench.rest(bench.constants())
     x[bench.at("tank_pressure")] += drop
@@ -180,9 +175,6 @@ def test_heat_by_cause_is_that_of_each_part(bench):
     assert {n: v for n, v in y.items() if n.endswith("_heat")} == pytest.approx(expected, rel=1e-4)
     assert sum(y[n] for n in expected) == pytest.approx(y["dissipated_power"], rel=1e-9)
     assert min(y[n] for n in expected) > 0
-
-
-# ---- dynamics
 
 
 def stroke_after(start: float, pressure: float, time: float) -> float:
@@ -233,21 +225,14 @@ def test_limits_hold_for_any_row_of_loads(flows, hold):
     assert y["supply_pressure"].min() > -1e5
 
 
-# ---- at any state
-
-
+# of the engine, the tank and the oil
+SHAFT = {"engine_speed": st.floats(0.0, 300.0), "engine_fuel_torque": st.floats(0.0, 600.0)}
+SHAFT |= {"reservoir_volume": st.floats(0.0, 0.3), "tank_pressure": st.floats(-1e5, 3e6)}
+SHAFT |= {"oil_temperature": st.floats(253.0, 373.0)}
 STATE = (
     st.lists(st.floats(-1e5, 3e7), min_size=3, max_size=3),
     st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2),
-    st.fixed_dictionaries(
-        {
-            "engine_speed": st.floats(0.0, 300.0),
-            "engine_fuel_torque": st.floats(0.0, 600.0),
-            "reservoir_volume": st.floats(0.0, 0.3),
-            "tank_pressure": st.floats(-1e5, 3e6),
-            "oil_temperature": st.floats(253.0, 373.0),
-        }
-    ),
+    st.fixed_dictionaries(SHAFT),
 )
 PUMPS = {"engine_pump": ("pump_1", "pump_2"), "load_sensing": ("pump",)}
 
@@ -349,9 +334,8 @@ def test_rest_stays_at_rest(setting, apart, band, leakage, tank):
     assert abs(dx["engine_speed"]) < 1e-9
     assert abs(dx["engine_fuel_torque"]) < 1e-6
     # the stroke that covers the leakage is 0.1 to 20 %, and its foot is rounded
-    assert x[ENGINE_PUMP.at("supply_pressure")] == pytest.approx(
-        max(setting, setting + apart), abs=0.25 * band
-    )
+    highest = max(setting, setting + apart)
+    assert x[ENGINE_PUMP.at("supply_pressure")] == pytest.approx(highest, abs=0.25 * band)
 
 
 @table(__file__, "engines", "name, value, fails")
@@ -366,17 +350,10 @@ def test_a_narrow_band_and_a_stiff_line_tend_to_the_ideal_source():
     """Band, resistance and opening of the check valves halved, the rest faster: half the sag, order one."""
 
     def sag(e):
-        p = ENGINE_PUMP.constants(
-            compensator_band=P["compensator_band"] * e,
-            compensator_lag=P["compensator_lag"] * e**2,
-            pump_stroke_time=P["pump_stroke_time"] * e**2,
-            pump_destroke_time=P["pump_destroke_time"] * e**2,
-            check_resistance=P["check_resistance"] * e,
-            check_opening=P["check_opening"] * e,
-            pump_displacement=3 * P["pump_displacement"],
-            engine_rated_torque=1e5 / e,
-            engine_inertia=1e3 / e,
-        )
+        changed = {n: P[n] * e for n in ("compensator_band", "check_resistance", "check_opening")}
+        changed |= {n: P[n] * e**2 for n in ("compensator_lag", "pump_stroke_time", "pump_destroke_time")}
+        changed |= {"engine_rated_torque": 1e5 / e, "engine_inertia": 1e3 / e}
+        p = ENGINE_PUMP.constants(**changed, pump_displacement=3 * P["pump_displacement"])
         _, y = ENGINE_PUMP.through([orifice(q * L_MIN) for q in (80, 200, 120)], p, 0.2)
         halves = y["supply_pressure"][19::20]  # half-way and at the end of each: the peak of a step is short
         return np.abs(halves - SETTING).max()

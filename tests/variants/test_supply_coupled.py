@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from kit import shards
-from kit.equations import JOINTS, Part, machine, played, work_cycle
+from kit.equations import JOINTS, Part, corners, machine, played, work_cycle
 from kit.mistakes import table
 
 from fmus.machine.parts import DRIVES, FAMILIES
@@ -88,20 +88,13 @@ def test_ideal_source_changes_nothing(system):
         assert np.array_equal(fed[name], alone[name])  # the same numbers go into the same FMUs
 
 
-@pytest.mark.parametrize(
-    "variant", ["ideal", "load_sensing", pytest.param("engine_pump", marks=shards.machine)]
-)
+@pytest.mark.parametrize("variant", shards.few(["ideal", "load_sensing"], FAMILIES["supply"], shards.machine))
 def test_a_stalled_stroke_leaves_other_compensated_sections_their_flow(system, variant):
     """The boom stands at its end with the lever held; the swing turns as fast as with the boom at rest."""
-    time = np.arange(0, 8.001, 0.01)
-    speeds = {}
+    swap, speeds = {"swing": "compensated", "boom_stick": "compensated", "supply": variant}, {}
     for boom in (0.0, 10.0):
-        levers = {
-            "boom_command": np.interp(time, [0, 0.3], [0, boom]),
-            "swing_command": np.interp(time, [4, 4.5], [0, 5]),
-        }
-        swap = {"swing": "compensated", "boom_stick": "compensated", "supply": variant}
-        trace = run(system, Trace(time, levers), swap=swap, step=1e-3, stop=8.0).trace
+        commands = {"boom_command": ([0, 0.3], [0, boom]), "swing_command": ([4, 4.5], [0, 5])}
+        trace = run(system, Trace(*corners(8.0, commands)), swap=swap, step=1e-3, stop=8.0).trace
         speeds[boom] = trace["manipulator.swing_speed"][trace.time > 7].mean()
     stroke = values(FAMILIES["boom_stick"]["compensated"]).p["boom_stroke"]
     assert trace["manipulator.boom_position"][-1] > stroke

@@ -31,6 +31,7 @@ DESCRIPTION = read_dataclass(ViewDescription, read(Path(VIEW), VIEW.read_bytes()
 MODES = DESCRIPTION.modes
 TIMEOUT, SILENCE_LIMIT = 4 * LONG, 8 * LONG  # s, of a authority that must not lose them by itself
 LEVERS = ("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command")
+URL = 1  # of the lines that `started` gives
 DRIVEN = ("swing_lever", "boom_lever", "stick_lever", "engaged")
 DRIVEN += ("radial_velocity", "vertical_velocity", "swing_velocity")
 CONTROLLER = tuple(f"controller.{name}" for name in DRIVEN)
@@ -119,10 +120,8 @@ def serving(
     """
     machine, passed = StandIn(axes), [0.0]
     limits = {"timeout": TIMEOUT, "silence_limit": SILENCE_LIMIT}
-    authority = ControlAuthority(
-        machine, lambda: description, clock=lambda: time.monotonic() + sum(passed), **limits
-    )
-    asked = rules(host)
+    limits["clock"] = lambda: time.monotonic() + sum(passed)
+    authority, asked = ControlAuthority(machine, lambda: description, **limits), rules(host)
     app = application(pages(machine, authority, description, parameters))
     app.add_middleware(Guard, rules=asked)
     options = {"log_level": "error", "ws_max_size": 2**16, "ws": "websockets-sansio", "http": TimedConnection}
@@ -137,9 +136,6 @@ def serving(
     finally:
         server.should_exit = True
         thread.join(LONG)
-
-
-URL = 1  # of the lines that `started` gives
 
 
 @contextlib.contextmanager

@@ -24,7 +24,10 @@ pytestmark = shards.browser
 STATE = ".hm-state"
 STAGE = "document.activeElement.classList.contains('hm-stage')"
 TOLD = f"document.querySelector('{STATE}').innerText"
+HANDS = "document.querySelector('.hm-hands').clientHeight"
 SWING, BOOM, STICK = "swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"
+KEYS = {"KeyA": (SWING, 1), "KeyD": (SWING, -1), "KeyW": (STICK, -1), "KeyS": (STICK, 1)}
+KEYS |= {"ArrowUp": (BOOM, -1), "ArrowDown": (BOOM, 1), "KeyI": (BOOM, -1), "KeyK": (BOOM, 1)}
 
 
 @pytest.fixture(scope="module")
@@ -149,12 +152,6 @@ def swings(address: str) -> bool:
     return command(address).get(SWING, 0) > 0
 
 
-KEYS = {
-    "KeyA": (SWING, 1), "KeyD": (SWING, -1), "KeyW": (STICK, -1), "KeyS": (STICK, 1),
-    "ArrowUp": (BOOM, -1), "ArrowDown": (BOOM, 1), "KeyI": (BOOM, -1), "KeyK": (BOOM, 1),
-}  # fmt: skip
-
-
 @pytest.mark.parametrize("dead_man", ["Space", "ShiftLeft", "ShiftRight"])
 def test_keys(page: Any, address: str, dead_man: str) -> None:
     """With the dead-man each key moves its function; none scrolls the page; without it nothing moves."""
@@ -219,9 +216,6 @@ def test_silent_server(page: Any, address: str) -> None:
         os.kill(server, signal.SIGCONT)
     assert until(lambda: state(address)["role"] == "free")
     page.get_by_text("the connection was lost: take the controls again").wait_for()
-
-
-HANDS = "document.querySelector('.hm-hands').clientHeight"
 
 
 def test_stopped_server(page: Any, address: str) -> None:
@@ -312,17 +306,16 @@ def test_skip_to_the_controls(chromium: Any, address: str) -> None:
     opened.close()
 
 
-@pytest.mark.parametrize(
-    ("axis", "value", "name", "sign"), [(0, -1, SWING, 1), (1, -1, STICK, -1), (3, 1, BOOM, 1)]
-)
-def test_gamepad(page: Any, address: str, axis: int, value: int, name: str, sign: int) -> None:
+AXES = [("[0] = -1", SWING, 1), ("[1] = -1", STICK, -1), ("[3] = 1", BOOM, 1)]
+
+
+@pytest.mark.parametrize(("axis", "name", "sign"), AXES)
+def test_gamepad(page: Any, address: str, axis: str, name: str, sign: int) -> None:
     """Both sticks of a standard gamepad, with a bumper held; unplugged or of another mapping it is rest."""
     page.evaluate(PAD)
-    page.evaluate(f"pad.axes[{axis}] = {value}")
+    page.evaluate(f"pad.axes{axis}")
     stays_at_rest(address)  # no bumper is held
-    bumper = Hands(
-        *(partial(page.evaluate, f"pad.buttons[5].pressed = {held}") for held in ("true", "false"))
-    )
+    bumper = Hands(*(partial(page.evaluate, f"pad.buttons[5].pressed = {on}") for on in ("true", "false")))
     for what, off, on in (("connected", "false", "true"), ("mapping", "''", "'standard'")):
         hold(page, address, bumper, lambda: full(address, name, sign))
         page.evaluate(f"pad.{what} = {off}")

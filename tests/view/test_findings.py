@@ -34,10 +34,9 @@ def test_findings_of_a_system(workshop: Path) -> None:
     assert (heat.unit, heat.scale[:2]) == ("\N{DEGREE SIGN}C", pytest.approx((1.0, -273.15)))
     assert (switch.text, switch.unit) == ("The <b>switch</b> does not close", "")
     assert [one.signals[0] for one in (leak, heat, switch)] == ["garage.leak", "garage.heat", "garage.switch"]
-    assert [(one.signals, one.repair, one.unit) for one in estimates] == [
-        (("garage.load", "garage.load_deviation"), "", "kg")
-    ]
-    assert estimates[0].scale == (1.0, 0.0, 1000.0), "ten times the nominal value"
+    (load_,) = estimates
+    assert (load_.signals, load_.repair, load_.unit) == (("garage.load", "garage.load_deviation"), "", "kg")
+    assert load_.scale == (1.0, 0.0, 1000.0), "ten times the nominal value"
 
 
 def test_a_reset_that_is_connected(workshop: Path) -> None:

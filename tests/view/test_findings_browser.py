@@ -14,15 +14,9 @@ from orchestrator.view.session import Session
 
 pytestmark = shards.browser
 MINUS, SQUARE, SIGN = "\N{MINUS SIGN}", "mm\N{SUPERSCRIPT TWO}", "\N{PLUS-MINUS SIGN}"
-FAULTS = {
-    "garage.leak_now": "3e-6",
-    "garage.leak_judged": "1@0.5s",
-    "garage.switch_now": "1",
-    "garage.switch_judged": "1@1s",
-    "garage.heat_now": "353.15",
-    "garage.heat_judged": "-1",
-    "garage.blur": "30",
-}
+FAULTS = {"garage.leak_now": "3e-6", "garage.leak_judged": "1@0.5s", "garage.blur": "30"}
+FAULTS |= {"garage.switch_now": "1", "garage.switch_judged": "1@1s"}
+FAULTS |= {"garage.heat_now": "353.15", "garage.heat_judged": "-1"}
 
 
 @pytest.fixture(scope="module")
@@ -137,13 +131,8 @@ def test_sizes(page: Any, asked: list[Any], text: str) -> None:
 
 def test_order(page: Any) -> None:
     """Without a deviation first, of these the older; then by size over deviation. The rest by repair."""
-    rows = [
-        [1, 0.5, 1, 9],
-        [1, 0, 1, 8],
-        [-3, 0.5, 1, 7],
-        [1, 0, 1, 6],
-        *([9, 0.1, k, None] for k in (0, -1)),
-    ]
+    rows = [[1, 0.5, 1, 9], [1, 0, 1, 8], [-3, 0.5, 1, 7], [1, 0, 1, 6]]
+    rows += [[9, 0.1, k, None] for k in (0, -1)]
     assert value(page, "m.faults(a)", rows) == [3, 1, 2, 0]
     named = [{"text": f"t{k}", "repair": f"r{k % 2}"} for k in range(4)]
     states = [[0, 0, state, None] for state in (-1, -1, -1, 0)]

@@ -17,7 +17,7 @@ from kit.wait import LONG, until
 from matplotlib import image
 from numpy.typing import NDArray
 
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.realtime.machine import APART
 from orchestrator.view import server as serving
@@ -122,11 +122,8 @@ def comes_to(server: Server, state: str) -> bool:
 def driven(server: Server) -> bool:
     """Is any lever away from rest?"""
     machine = server.session.machine
-    return any(
-        value
-        for name, value in zip(machine.axes, machine.latest().axes, strict=True)
-        if name.endswith("_command")
-    )
+    now = zip(machine.axes, machine.latest().axes, strict=True)
+    return any(value for name, value in now if name.endswith("_command"))
 
 
 def begin(server: Server) -> float:
@@ -172,10 +169,8 @@ def test_loads(page: Any, server: Server) -> None:
     assert page.complaints == []
     assert page.hosts == {f"127.0.0.1:{server.port}"}
     # this browser has no graphics card, so the canvas is opened without smoothing
-    smooth = (
-        "document.querySelector('.hm-stage canvas').getContext('webgl2').getContextAttributes().antialias"
-    )
-    assert page.evaluate(smooth) is False
+    context = "document.querySelector('.hm-stage canvas').getContext('webgl2')"
+    assert page.evaluate(f"{context}.getContextAttributes().antialias") is False
 
 
 def test_machine_is_seen_and_moves(own: Any, server: Server) -> None:
@@ -187,8 +182,7 @@ def test_machine_is_seen_and_moves(own: Any, server: Server) -> None:
     assert until(lambda: bool((np.abs(picture(own) - before).max(axis=2) > 0.1).mean() > 0.005))
     own.close()
     assert until(lambda: not driven(server))
-    session = server.session
-    assert until(lambda: abs(value(session, "swing_speed")) < 0.01)
+    assert until(lambda: abs(value(server.session, "swing_speed")) < 0.01)
 
 
 def test_pause_and_restart(page: Any, server: Server) -> None:
@@ -467,8 +461,6 @@ def test_a_replay_says_what_was_wrong(own: Any, server: Server) -> None:
 def test_save(page: Any, tmp_path: Path) -> None:
     """The session comes as a file that can be read, with the axes and the signals; the page says how to run
     the same drive, which comes to the same angles."""
-    from orchestrator.data.trace import read_trace
-
     with page.expect_download() as loaded:
         page.get_by_role("button", name="Save the drive").click()
     found = read_trace(loaded.value.path().rename(tmp_path / "session.parquet"))

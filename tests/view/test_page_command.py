@@ -22,15 +22,10 @@ POSED = ("--pose", "reach", "--swap", "swing=detailed", "--set", "manipulator.he
 RECORDING = "recording.csv"  # of a test rig, with names of its own
 get = partial(httpx.get, timeout=LONG)
 NONSENSE = (
-    *("", "garbage", "[]", "{}", '{"do":null}', '{"do":"shown"}'),
-    *(
-        '{"do":"start","system":"x.ssp","pose":"","swap":{}}',
-        '{"do":"choose","mode":"x"}',
-        '{"do":"set","name":"x","value":1}',
-    ),
+    *("", "garbage", "[]", "{}", '{"do":null}', '{"do":"shown"}', '{"do":"choose","mode":"x"}'),
+    *('{"do":"start","system":"x.ssp","pose":"","swap":{}}', '{"do":"set","name":"x","value":1}'),
     *('{"do":"save"' + "[" * 3000, "x" * 100_000, b"\x00" * 100_000, os.urandom(100)),
 )
-
 opened = partial(connect, compression=None, open_timeout=LONG, ping_timeout=None)
 
 

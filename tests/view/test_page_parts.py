@@ -30,10 +30,10 @@ from orchestrator.view.live import AHEAD, BIN, LOST, WINDOW, Credit, History, ex
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session, columns
 
+SHAPES = st.tuples(st.integers(1, 30), st.integers(1, 4))
 
-@given(
-    rows=arrays(np.float64, st.tuples(st.integers(1, 30), st.integers(1, 4)), elements=st.floats(-1e8, 1e8))
-)
+
+@given(rows=arrays(np.float64, SHAPES, elements=st.floats(-1e8, 1e8)))
 def test_extremes(rows: np.ndarray) -> None:
     """Thinning out keeps the lowest and the highest value of each column, so no peak is lost."""
     kept = extremes(rows)
@@ -151,20 +151,13 @@ def test_only_what_is_offered_is_started(fmu_dir: Path) -> None:
     offer = offered(now)
     assert {"harvester.ssp", "harvester_control.ssp"} <= set(offer["systems"])
     assert offer["chosen"] == {"system": "harvester.ssp", "pose": "", "swap": {"swing": "detailed"}}
-    asked = {
-        "system": "harvester.ssp",
-        "pose": "reach",
-        "swap": {"swing": "usual", "manipulator": "pendulum"},
-    }
+    swap = {"swing": "usual", "manipulator": "pendulum"}
+    asked = {"system": "harvester.ssp", "pose": "reach", "swap": swap}
     found = next_choice(now, asked)
     assert (found.pose, dict(found.swap)) == ("reach", {"manipulator": "pendulum"})
     for wrong in (
-        {"system": "../x.ssp"},
-        {"system": None},
-        {"pose": 1},
-        {"swap": {"swing": "../x.fmu"}},
-        {"swap": {"x": "y"}},
-        *({"swap": {"swing": no_name}} for no_name in ({"a": 1}, ["b"], 5)),
+        *({"system": "../x.ssp"}, {"system": None}, {"pose": 1}, {"swap": {"x": "y"}}),
+        *({"swap": {"swing": no_name}} for no_name in ("../x.fmu", {"a": 1}, ["b"], 5)),
     ):
         problem(lambda wrong=wrong: next_choice(now, asked | wrong))
 
@@ -265,9 +258,8 @@ def test_another_machine_is_not_replayed(bench: System, tmp_path: Path) -> None:
         write_trace(Trace(np.arange(2.0), {f"x.{n}": np.zeros(2) for n in names}), tmp_path / file)
     session = Session(MachineChoice(path), [tmp_path], lambda _: StandIn())
     assert session.files() == ["half.csv"]
-    assert f"expected {(len(shown) + 1) // 2} or more signals such as swing." in problem(
-        lambda: session.recording("few.csv")
-    )
+    told = f"expected {(len(shown) + 1) // 2} or more signals such as swing"
+    problem(lambda: session.recording("few.csv"), rf"{told}\.")
 
 
 def test_port_in_use() -> None:

@@ -15,6 +15,8 @@ from websockets.sync.client import connect
 from orchestrator.view.access import is_loopback, rules
 
 get = partial(httpx.get, timeout=LONG)
+PAGE = 'class="harvester-machine"'
+SITES = {"origin", "sec-fetch-site", "referer"}
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +48,6 @@ def test_own_page(local: Server) -> None:
     with connect(local.socket, open_timeout=LONG, origin=local.http):
         assert until(lambda: len(local.authority.stations) == 1)
     assert until(lambda: not local.authority.stations)
-
-
-PAGE = 'class="harvester-machine"'
-SITES = {"origin", "sec-fetch-site", "referer"}
 
 
 @table(__file__, "requests", "where, headers, status, what")
@@ -111,9 +109,10 @@ def test_tokens_are_random() -> None:
     assert "host.lan" in rules("0.0.0.0", names=("Host.lan",)).names
 
 
-@pytest.mark.parametrize(
-    "query", ["", "?token=", "?token=wrong", "?token[]=x", "?token=%ff%00", "?" + "&" * 50]
-)
+QUERIES = ("", "?token=", "?token=wrong", "?token[]=x", "?token=%ff%00", "?" + "&" * 50)
+
+
+@pytest.mark.parametrize("query", QUERIES)
 def test_without_token(remote: Server, query: str) -> None:
     """No page without the token, and no socket."""
     assert get(remote.http + "/" + query).status_code == 401
@@ -144,7 +143,6 @@ def test_door_shows_no_script(remote: Server) -> None:
 
 def test_head_is_answered_like_get(local: Server) -> None:
     """Monitors and proxies ask with HEAD: the same status and headers, without the content."""
-    answer = httpx.head(local.http, timeout=LONG)
-    expected = get(local.http)
+    answer, expected = httpx.head(local.http, timeout=LONG), get(local.http)
     assert (answer.status_code, answer.content) == (200, b"")
     assert answer.headers["content-length"] == expected.headers["content-length"]

@@ -31,9 +31,8 @@ class Room:
 
     def __init__(self) -> None:
         self.machine, self.done = StandIn(), list[str]()
-        self.authority = ControlAuthority(
-            self.machine, lambda: DESCRIPTION, timeout=TIMEOUT, silence_limit=SILENCE_LIMIT
-        )
+        limits = {"timeout": TIMEOUT, "silence_limit": SILENCE_LIMIT}
+        self.authority = ControlAuthority(self.machine, lambda: DESCRIPTION, **limits)
         self.pages: Any = pages(self.machine, self.authority)
         for owner, names in ((self.machine, "play pause"), (self.pages.session, "again speed start")):
             for name in names.split():
@@ -85,11 +84,10 @@ def test_a_watcher_changes_nothing(room: Room, do: str) -> None:
 
 def test_everybody_may_pause_and_the_driver_goes_on(room: Room) -> None:
     """A watcher pauses the machine, and does not set it going again."""
-    room.ask(room.watcher, "toggle")
-    assert room.done == ["pause"]
-    room.machine.state = "paused"
-    room.ask(room.watcher, "toggle")
-    assert room.done == ["pause"]
+    for state in ("running", "paused"):
+        room.machine.state = state
+        room.ask(room.watcher, "toggle")
+        assert room.done == ["pause"]
     room.ask(room.driver, "toggle")
     assert room.done == ["pause", "play"]
 

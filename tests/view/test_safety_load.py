@@ -22,7 +22,7 @@ from orchestrator.view import server_load
 from orchestrator.view.server_load import WAITING
 
 get = partial(httpx.get, timeout=LONG)
-HALF = b"GET / HTTP/1.1\r\nHost: 127."
+HALF, WHOLE = b"GET / HTTP/1.1\r\nHost: 127.", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
 
 
 @pytest.fixture(scope="module")
@@ -123,9 +123,6 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     monkeypatch.setattr(server_load, "HEADER_TIME", 0.3)
     with serving() as server:
         yield server
-
-
-WHOLE = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
 
 
 @pytest.mark.parametrize("first", [b"", HALF, WHOLE + HALF], ids=["nothing", "half", "second half"])

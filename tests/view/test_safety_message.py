@@ -18,6 +18,8 @@ def test_good() -> None:
     assert parse(json.dumps(GOOD)) == Message(3, StickAxes(0, -1, 0.25, 1), True)
 
 
+STICKS = ([], [0] * 3, [0] * 25, "0000", None, {"0": 1})
+VALUES = ("1.0001", "-2", "1e308", "1e999", "-1e999", "NaN", "Infinity", "true", "null", '"1"', "[1]")
 WRONG = {
     "not json": "{",
     "binary": json.dumps(GOOD).encode(),
@@ -31,14 +33,8 @@ WRONG = {
     "deep": "[" * 250,
     "long number": '{"n":' + "9" * 240 + "}",
     **{f"n {n!r}": json.dumps(GOOD | {"n": n}) for n in (-1, 2**53, 1.0, True, "1", None, [])},
-    **{
-        f"sticks {s!r}": json.dumps(GOOD | {"sticks": s})
-        for s in ([], [0] * 3, [0] * 25, "0000", None, {"0": 1})
-    },
-    **{
-        f"value {v}": json.dumps(GOOD).replace("0.25", v)
-        for v in ("1.0001", "-2", "1e308", "1e999", "-1e999", "NaN", "Infinity", "true", "null", '"1"', "[1]")
-    },
+    **{f"sticks {s!r}": json.dumps(GOOD | {"sticks": s}) for s in STICKS},
+    **{f"value {v}": json.dumps(GOOD).replace("0.25", v) for v in VALUES},
     **{f"dead man {d!r}": json.dumps(GOOD | {"dead_man": d}) for d in (1, 0, "true", None)},
 }
 
@@ -59,14 +55,11 @@ def test_garbage(raw: str | bytes) -> None:
         parse(raw)
 
 
-@given(
-    st.recursive(
-        st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-        lambda inner: (
-            st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["n", "sticks", "dead_man"]), inner)
-        ),
-    )
-)
+def shaped(inner: st.SearchStrategy[object]) -> st.SearchStrategy[object]:
+    return st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["n", "sticks", "dead_man"]), inner)
+
+
+@given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5), shaped))
 def test_garbage_of_the_right_shape(found: object) -> None:
     """JSON that looks like a message is a message within its bounds, or a Problem."""
     try:

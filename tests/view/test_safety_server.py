@@ -73,11 +73,9 @@ WRONG = {
     "infinite command": '{"n":2,"sticks":[1e999,0,0,0],"dead_man":true}',
     "deep": "[" * 60_000,
     "no text": b"",
-    **{
-        f"no action {raw[:9]}": raw
-        for raw in ('{"do":', '{"do":1}', '{"do":"x"}', '{"do":"_hear"}', '{"do":' + "[" * 3000)
-    },
 }
+UNKNOWN = ('{"do":', '{"do":1}', '{"do":"x"}', '{"do":"_hear"}', '{"do":' + "[" * 3000)
+WRONG |= {f"no action {raw[:9]}": raw for raw in UNKNOWN}
 ACTIONS = (
     '{"do":"shown","number":1e999}',
     '{"do":"set","name":[],"value":{}}',

@@ -22,10 +22,9 @@ REFERENCE = read_recording(data("reference/work_cycle.csv"))
 def without_rates(system: System) -> System:
     """The same wires but those of the rate ports."""
     held = system.without("*_rate", "*_acceleration")
-    commands = [target for _, target in FERIC.operator_wires + FERIC.supply_wires if target.endswith("_rate")]
-    assert {c.target for c in system.connections} - {c.target for c in held.connections} == {
-        system.port(target) for target in (*(target for _, target in FERIC.rates), *commands)
-    }
+    others = (wire for wire in FERIC.operator_wires + FERIC.supply_wires if wire[1].endswith("_rate"))
+    rates = {system.port(target) for _, target in (*FERIC.rates, *others)}
+    assert {c.target for c in system.connections} - {c.target for c in held.connections} == rates
     return held
 
 
@@ -47,9 +46,8 @@ def test_default_run_meets_the_bars_over_the_whole_work_cycle(system):
     assert result.card.step >= 5e-4
     validation = validate(result.trace, REFERENCE, rate=False)
     assert validation.passed, validation.verdict
-    assert worst(validation, "speed") < 5e-3
-    assert worst(validation, "angle") < 5e-4
-    assert worst(validation, "pressure") < 1e-2
+    for group, bar in (("speed", 5e-3), ("angle", 5e-4), ("pressure", 1e-2)):
+        assert worst(validation, group) < bar
     # the energy that the coupling makes up is small beside what flows over the ports
     assert all(abs(bond.relative) < 1e-5 for bond in result.card.bonds)
 
@@ -123,8 +121,7 @@ def test_one_pass_without_rollback_holds_where_held_inputs_diverge(system):
     assert "hermite makes one pass per step" in result.card.text()
     assert result.card.passes == result.card.steps == 8400
     found = validate(result.trace, REFERENCE, rate=False)
-    assert worst(found, "speed") < 5e-3
-    assert worst(found, "pressure") < 5e-3
+    assert all(worst(found, group) < 5e-3 for group in ("speed", "pressure"))
     # arm and cylinder find it in the same step, and with threads either may be the first
     with pytest.raises(RunFailed, match=r"stick_(angle .*|position\") is violated"):
         outcome(without_rates(stuck), "jacobi", 5e-3)
@@ -133,14 +130,11 @@ def test_one_pass_without_rollback_holds_where_held_inputs_diverge(system):
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
 def test_adaptive_steps_keep_the_tolerance_over_the_whole_work_cycle(system, tolerance):
     """Speeds and pressures, at the samples of the reference, within it (measured a tenth)."""
-    coupling = Coupling("hermite", adaptive=tolerance)
-    found = outcome(system, coupling, None, record_step=20e-3)
-    assert worst(found, "speed") < tolerance
-    assert worst(found, "pressure") < tolerance
+    found = outcome(system, Coupling("hermite", adaptive=tolerance), None, record_step=20e-3)
+    assert all(worst(found, group) < tolerance for group in ("speed", "pressure"))
 
 
 # ---- FMUs that C calls, and that Python calls
-
 
 ORDERS = [Coupling(m, n) for m in ("jacobi", "gauss-seidel") for n in (0, 1, 2, 3)]
 # every master, and every order with one of the two that know orders: a run starts in longer than it steps
@@ -151,6 +145,8 @@ FEW = [
     Coupling("hermite", factors={"boom_stick": 2, "swing": 3}),
 ]
 COUPLINGS = [*FEW, *(pytest.param(c, marks=shards.search) for c in ORDERS if c not in FEW)]
+# all joints move; commands have a corner, and 300 steps pass through the same code as a thousand
+MOVING = {"step": 1e-3, "start": 1.2, "stop": 1.5}
 
 
 def same(system: System, **options: object) -> None:
@@ -161,10 +157,6 @@ def same(system: System, **options: object) -> None:
         np.testing.assert_array_equal(fast.trace[name], values, err_msg=name)
     assert (fast.card.steps, fast.card.passes) == (slow.card.steps, slow.card.passes)
     assert fast.card.bonds == slow.card.bonds
-
-
-# all joints move; commands have a corner, and 300 steps pass through the same code as a thousand
-MOVING = {"step": 1e-3, "start": 1.2, "stop": 1.5}
 
 
 @pytest.mark.parametrize("coupling", COUPLINGS, ids=lambda c: c.text)
@@ -191,12 +183,10 @@ def test_outputs_exist_at_the_first_instant(system):
     """Row zero holds the initial pose, holding forces and pressures, not zeros."""
     first = run(system, data("scenarios/work_cycle.csv"), stop=0.01).trace
     for name in ("manipulator.boom_angle", "boom_stick.boom_force", "boom_stick.boom_head_pressure"):
-        reference = REFERENCE[name][0]
         # nine digits of the reference
-        assert first[name][0] == pytest.approx(reference, rel=1e-8)
-    assert first["boom_stick.boom_force"][0] == pytest.approx(
-        first["manipulator.boom_holding_force"][0], rel=1e-9
-    )
+        assert first[name][0] == pytest.approx(REFERENCE[name][0], rel=1e-8)
+    force, holding = (first[n][0] for n in ("boom_stick.boom_force", "manipulator.boom_holding_force"))
+    assert force == pytest.approx(holding, rel=1e-9)
 
 
 def test_supply_pressure_feeds_both_hydraulic_fmus(system):

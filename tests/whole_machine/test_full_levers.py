@@ -1,5 +1,7 @@
 """The load-sensing machine at full levers: right at the default, and told where it is not."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 from kit import shards
@@ -113,14 +115,10 @@ def test_machines_in_lanes_have_a_status_of_their_own(system):
 
 
 # the libraries for the machine of today take 20 s to compile
-@pytest.mark.parametrize(
-    ("swap", "master"),
-    [
-        ({}, "gauss-seidel"),
-        pytest.param(TODAY, "gauss-seidel", marks=shards.machine),
-        pytest.param(TODAY, "jacobi", marks=shards.machine),
-    ],
-)
+TODAYS = (pytest.param(TODAY, master, marks=shards.machine) for master in ("gauss-seidel", "jacobi"))
+
+
+@pytest.mark.parametrize(("swap", "master"), [({}, "gauss-seidel"), *TODAYS])
 def test_energies_in_lanes_are_those_of_a_run(system, swap, master):
     """Each bond of an unguarded run, to rounding."""
     machine = with_swaps(system, swap)
@@ -185,14 +183,8 @@ def test_a_study_counts_it_as_not_valid(today, tmp_path):
     for scenario, share in zip(scenarios, (0.0, 1.0), strict=True):
         levers = {name: [share * v for v in FULL[name]] for name in LEVERS}
         write_trace(Trace(np.array(FULL["time"]), {n: np.array(v) for n, v in levers.items()}), scenario)
-    study = Study(
-        "Full",
-        str(file),
-        method="grid",
-        stop=1.2,
-        choices=(Choice("scenario", tuple(map(str, scenarios))),),
-        outputs=(Output("boom", SPEEDS[0], "maximum"),),
-    )
+    choice, output = Choice("scenario", tuple(map(str, scenarios))), Output("boom", SPEEDS[0], "maximum")
+    study = Study("Full", str(file), method="grid", stop=1.2, choices=(choice,), outputs=(output,))
     results = sweep(study, tmp_path / "out", workers=1)
     assert results.table["status"].tolist() == ["ok", "unreliable"]
     errors = results.table["energy_error"].tolist()
@@ -205,8 +197,7 @@ def test_the_live_machine_says_it_while_it_lasts(today, tmp_path):
     file = write_ssp(today.coupled(RAW), tmp_path / "today.ssp")
     axes = tuple(Axis(name, 10.0, 40.0) for name in LEVERS)
     full, rest = np.array(list(LEVERS.values())), np.zeros(3)
-    live = FrameStepper(Setup(file, axes, ("supply.pump_flow",)))
-    try:
+    with closing(FrameStepper(Setup(file, axes, ("supply.pump_flow",)))) as live:
         assert not live.unreliable
         for n in range(60):
             live.advance(min(n / 25, 1.0) * full)
@@ -214,5 +205,3 @@ def test_the_live_machine_says_it_while_it_lasts(today, tmp_path):
         for n in range(600):
             live.advance(max(1.0 - n / 25, 0.0) * full + rest)
         assert not live.unreliable
-    finally:
-        live.close()

@@ -32,9 +32,6 @@ from orchestrator.studies.convergence.runs import choose
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"
-
-# ------------------------------------------------------------------ orifice
-
 pressure_differences = st.floats(-4e7, 4e7)
 transitions = st.floats(1.0, 1e5)
 
@@ -64,9 +61,6 @@ def test_orifice_slope_at_zero_is_finite():
     dp = ca.SX.sym("dp")
     slope = ca.Function("slope", [dp], [ca.gradient(model.regular_root(dp, 1e3), dp)])
     assert float(slope(0)) == pytest.approx(1e3**-0.5, rel=1e-14)  # exact but for rounding
-
-
-# ---------------------------------------------------------------- equations
 
 
 def parameters():
@@ -119,9 +113,6 @@ def test_the_cut_has_no_feed_through():
             assert not ca.depends_on(part.expressions["y"][name], part.model.u), name
 
 
-# ------------------------------------------------------------------ M1 as one ODE
-
-
 def test_joined_ode_follows_the_reference():
     """The equations joined into one ODE give the authors' monolithic solution of M1."""
     reference = read_recording(run.REFERENCE)
@@ -158,15 +149,11 @@ def test_manoeuvre_starts_in_equilibrium():
     np.testing.assert_allclose(m1["kappa"] - kappa0, [0, 0, -0.01, -0.01, 0.02, 0.02], atol=1e-10)
 
 
-# ------------------------------------------------------------------ M1 through two FMUs
-
-
 @pytest.fixture(scope="module")
 def run_m1(manipulator_systems):
     """(ports, step, master) -> outcome; each run is made once."""
-    return cache(
-        lambda ports, step, master="jacobi": run.simulate(manipulator_systems[ports], run.M1, step, master)
-    )
+    systems = manipulator_systems
+    return cache(lambda ports, step, master="jacobi": run.simulate(systems[ports], run.M1, step, master))
 
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
@@ -186,18 +173,16 @@ def test_monolithic_solution_of_the_fmus_is_the_joined_ode(manipulator_systems, 
 
 
 # gauss-seidel with rate ports: test_command_line
-@pytest.mark.parametrize(
-    ("ports", "master"), [("rates", "jacobi"), ("held", "jacobi"), ("held", "gauss-seidel")]
-)
+RUNS = [("rates", "jacobi"), ("held", "jacobi"), ("held", "gauss-seidel"), ("rates", "gauss-seidel")]
+
+
+@pytest.mark.parametrize(("ports", "master"), RUNS[:3])
 def test_published_solution_is_met_at_1_ms(run_m1, ports, master):
     """At 1 ms s1 is within 5e-5 m and p_1, p_2 within 0.5 % of the published solution at all its samples."""
     validation = run_m1(ports, 1e-3, master).validation
     limits = {row.signal: (row.tolerance.metric, row.tolerance.limit) for row in validation.judged}
-    assert limits == {
-        "arm.s1": ("maximum", 5e-5),
-        "hydraulics.p_1": ("maximum_relative", 0.005),
-        "hydraulics.p_2": ("maximum_relative", 0.005),
-    }
+    pressures = dict.fromkeys(("hydraulics.p_1", "hydraulics.p_2"), ("maximum_relative", 0.005))
+    assert limits == {"arm.s1": ("maximum", 5e-5)} | pressures
     assert all(len(row.time) == 1001 for row in validation.rows)
     assert validation.passed
 
@@ -213,32 +198,24 @@ def test_order_of_convergence(run_m1):
     assert rates[0] / rates[1] > 3.8
 
 
-@pytest.mark.parametrize(
-    ("ports", "master"), [("held", "jacobi"), ("held", "gauss-seidel"), ("rates", "gauss-seidel")]
-)
+@pytest.mark.parametrize(("ports", "master"), RUNS[1:])
 def test_stable_at_20_ms(run_m1, ports, master):
     """At 20 ms the run stays within 1 mm and 2.5 % of the joined ODE, the step response included."""
     outcome = run_m1(ports, 20e-3, master)
     assert outcome.result.complete
     # measured 5.4e-4 m and 2 %; the ramps of kappa take 20 ms instead of 1 ms and 2 ms
     assert outcome.error("arm.s1") < 1e-3
-    assert outcome.relative("hydraulics.p_1") < 0.025
-    assert outcome.relative("hydraulics.p_2") < 0.025
+    assert all(outcome.relative(f"hydraulics.p_{n}") < 0.025 for n in (1, 2))
     # once the last ramp is 2 s old nothing swings
     late = outcome.result.trace.time > 8
     speed = outcome.result.trace["arm.s1_dot"] - outcome.truth["arm.s1_dot"]
     assert np.max(np.abs(speed[late])) < 1e-3
 
 
-# ------------------------------------------------------------------ M1 with hermite
-
-
 def by_hermite(manipulator_systems, step=None, **choices):
     """A run with rate ports: its result, and the largest error of s1 [m] from the joined ODE."""
-    pure = {} if "adaptive" in choices else {"guard": 0}
-    result = orchestrate(
-        manipulator_systems["rates"], run.M1, master=Coupling("hermite", **pure, **choices), step=step
-    )
+    master = Coupling("hermite", **({} if "adaptive" in choices else {"guard": 0}), **choices)
+    result = orchestrate(manipulator_systems["rates"], run.M1, master=master, step=step)
     truth = solve(read_trace(run.M1), result.trace.time)
     return result, float(np.max(np.abs(result.trace["arm.s1"] - truth["arm.s1"])))
 

@@ -79,15 +79,10 @@ def test_the_fastest_component_steps_first(system, monkeypatch):
     assert error(lambda order: [*order[:2], *order[:1:-1]]) > 5 * chosen
 
 
-# ---- the published benchmark
-
-KAPPA0 = 0.4543455896
-
-
 @cache
 def manoeuvre(ramp: float) -> tuple[Trace, np.ndarray]:
     """M1 with ramps of this length [s], and the truth every 10 ms."""
-    kappa = KAPPA0 + np.array([0, 0, -0.01, -0.01, 0.02, 0.02])
+    kappa = 0.4543455896 + np.array([0, 0, -0.01, -0.01, 0.02, 0.02])
     given = Trace(np.array([0, 2, 2 + ramp, 6, 6 + ramp, 10.0]), {"kappa": kappa}, {"kappa": "1"})
     return given, solve(given, np.arange(1001) * 1e-2)["arm.s1"]
 

@@ -59,9 +59,6 @@ def leaked(drop, joint):
     return BOOM_STICK["valve_leakage"] * drop / piston_areas(BOOM_STICK, joint)[1]
 
 
-# ---- at rest
-
-
 def test_every_pose_starts_at_rest_with_pressure_to_spare():
     """Over the work space forces balance, and chambers hold the arm between tank and 80 % of the supply."""
     model = machine()
@@ -130,9 +127,6 @@ def test_without_supply_the_closed_valves_still_hold(driven):
         assert np.ptp(y[f"manipulator.{joint}_position"]) < 5.0 * leaked(2 * highest, joint)
 
 
-# ---- moved
-
-
 @table(__file__, "signs", "command, signs")
 def test_positive_commands_move_the_stated_way_and_negative_ones_back(driven, command, signs):
     """Signs of every port: positive swings left, raises the boom, extends (and so folds) the stick."""
@@ -188,6 +182,7 @@ def test_reversing_at_full_speed_stays_bounded(driven):
         assert way * y[f"manipulator.{joint}_speed"][-1] > 0.1
 
 
+DAMPINGS = [n for n in MANIPULATOR if n.endswith("_damping") and "stop" not in n]
 ODD = {
     "no head": {"manipulator.head_mass": 1e-3},
     "upper case of the hose resistance": {f"boom_stick.{j}_hose_resistance": 3.1e11 for j in PISTONS},
@@ -196,9 +191,7 @@ ODD = {
     "no hoses": {f"boom_stick.{j}_hose_capacitance": 1e-18 for j in PISTONS},
     "no line resistance": {"swing.line_resistance": 1.0},
     "sharp edges": {f"{c}.valve_transition_reynolds": 0.1 for c in ("swing", "boom_stick")},
-    "no friction": {
-        f"manipulator.{n}": 0.0 for n in MANIPULATOR if n.endswith("_damping") and "stop" not in n
-    },
+    "no friction": {f"manipulator.{n}": 0.0 for n in DAMPINGS},
 }
 FAST = ("swing_speed", "boom_velocity", "stick_velocity")
 
@@ -223,9 +216,6 @@ def test_a_violated_requirement_is_told_rather_than_the_nan_that_it_causes(drive
     """Full command within the dead band divides by zero: the first value asked for names the reason."""
     with pytest.raises(Problem, match='"valve_full_command exceeds valve_dead_band" is violated at t = 0 s'):
         driven(0.01, {"swing.valve_full_command": 0.1})
-
-
-# ---- the work cycle
 
 
 @pytest.fixture(scope="module")

@@ -58,13 +58,11 @@ OWN = Machine(
 
 def test_the_own_machine_has_the_wires_of_the_paper_and_those_of_its_motor():
     """Terminals connect the saw to its blade and to its own supply, and to nothing else."""
-    own = OWN.connections + OWN.operator_wires + OWN.supply_wires
-    more = {*own} - {*FERIC.connections, *FERIC.operator_wires, *FERIC.supply_wires}
-    assert {*FERIC.connections, *FERIC.operator_wires, *FERIC.supply_wires} <= {*own}
-    assert {frozenset(end.partition(".")[0] for end in wire) for wire in more} == {
-        frozenset({"saw", "blade"}),
-        frozenset({"saw", "second_supply"}),
-    }
+    own, papers = ({*m.connections, *m.operator_wires, *m.supply_wires} for m in (OWN, FERIC))
+    more = own - papers
+    assert papers <= own
+    joined = {frozenset(end.partition(".")[0] for end in wire) for wire in more}
+    assert joined == {frozenset({"saw", part}) for part in ("blade", "second_supply")}
     assert ("second_supply.supply_pressure", "saw.supply_pressure") in more
     assert ("saw.saw_torque_rate", "blade.saw_torque_rate") in more
 
@@ -73,15 +71,12 @@ def test_the_own_machine_has_the_wires_of_the_paper_and_those_of_its_motor():
 def test_the_own_machine_is_built_and_runs(built, tmp_path):
     """Three FMUs more; the co-simulation is the monolithic solution of the machine."""
     fmus = {name: built / f"{name}.fmu" for name in FERIC.components}
-    more = (DRIVE, BLADE, OWN.feeding["second_supply"])
-    fmus |= {sub.name: build(sub, tmp_path) for sub in more}
+    fmus |= {sub.name: build(sub, tmp_path) for sub in (DRIVE, BLADE, OWN.feeding["second_supply"])}
     system = assemble(fmus, OWN.connections + OWN.operator_wires + OWN.supply_wires, stop=2.0, step=1e-3)
     time = np.linspace(0, 2, 2001)
     command = np.interp(time, [0, 0.2, 0.5, 2.0], [0, 0, 4.0, 4.0])
     found = run(system, {"time": time, "saw.saw_command": command}, master="hermite")
-    chosen = OWN.components
-    model = join(chosen, *wiring(chosen))
-    true = played(model, time, {"saw_command": command})
+    true = played(join(OWN.components, *wiring(OWN.components)), time, {"saw_command": command})
     for name in ("blade.saw_speed", "saw.saw_pressure_a", "manipulator.boom_angle"):
         assert np.ptp(true[name]) > 0
         # of the range; the error of a hermite master at 1 ms with the corners of the command in steps

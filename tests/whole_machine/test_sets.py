@@ -56,11 +56,9 @@ def test_what_the_set_leaves_out_stays(machine):
     named = {"swing.valve_area", "swing.initial_preload", "boom_stick.valve_area", "manipulator.head_mass"}
     assert {v for v, section in changed.items() if section == "parameters"} == named
     # a heavier head is held by other forces; positions of the pistons do not change
-    assert {v for v, section in changed.items() if section == "start"} == {
-        f"{part}.{joint}_{what}"
-        for joint in ("boom", "stick")
-        for part, what in (("manipulator", "force"), ("boom_stick", "holding_force"))
-    }
+    forces = (("manipulator", "force"), ("boom_stick", "holding_force"))
+    held = {f"{part}.{joint}_{what}" for joint in ("boom", "stick") for part, what in forces}
+    assert {v for v, section in changed.items() if section == "start"} == held
 
 
 def test_the_whole_and_the_poses_follow(machine):

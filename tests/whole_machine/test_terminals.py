@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import permutations, product
 
 import pytest
+from kit.mistakes import problem
 from lxml import etree
 
 from fmus.contract import quantities
@@ -16,7 +17,6 @@ from fmus.parameters import values
 from fmus.ports import lever
 from fmus.supply import SUPPLY
 from orchestrator import assemble, load
-from orchestrator.base.errors import Problem
 
 
 def test_terminals_that_are_connected_fit():
@@ -43,16 +43,10 @@ def test_variants_of_a_part_swap_without_wires(part):
 
 
 # what the parts exchange, by terminal: power ports with their rates, levers, lines
+PISTON = ("position", "velocity", "acceleration", "holding_force")
 MOTION = {
     "swing": ("swing", ("torque", "torque_rate"), ("speed", "acceleration")),
-    **{
-        axis: (
-            "boom_stick",
-            ("force", "force_rate"),
-            ("position", "velocity", "acceleration", "holding_force"),
-        )
-        for axis in ("boom", "stick")
-    },
+    **dict.fromkeys(("boom", "stick"), ("boom_stick", ("force", "force_rate"), PISTON)),
 }
 LINES = ("supply_pressure", "tank_pressure", "load_sensing_pressure")
 
@@ -82,20 +76,15 @@ def test_terminals_carry_all_wires_of_the_machine():
 
 def test_the_controller_measures_what_it_has_inputs_for():
     """Its levers feed the drives; angles, speeds, pressures of the cylinders and of the lines come back."""
-    levers = {
-        (s.replace("operator_input", "controller"), t) for s, t in FERIC.operator_wires if "command" in s
-    }
+    commands = [(s, t) for s, t in FERIC.operator_wires if "command" in s]
+    levers = {(s.replace("operator_input", "controller"), t) for s, t in commands}
     sources = {source for source, target in FERIC.controller_wires if target.startswith("controller.")}
     assert set(FERIC.controller_wires) - levers == {(s, f"controller.{s.partition('.')[2]}") for s in sources}
     assert sources == {
         *(f"manipulator.{axis}_{kind}" for axis in MOTION for kind in ("angle", "speed")),
         *(f"boom_stick.{axis}_{side}_pressure" for axis in ("boom", "stick") for side in ("head", "rod")),
-        *(
-            "swing.swing_pressure_a",
-            "swing.swing_pressure_b",
-            "supply.supply_pressure",
-            "supply.tank_pressure",
-        ),
+        *(f"{line}_pressure" for line in ("supply.supply", "supply.tank")),
+        *(f"swing.swing_pressure_{line}" for line in "ab"),
     }
     assert len(FERIC.controller_wires) == 20
 
@@ -108,26 +97,18 @@ def test_a_machine_without_supply_and_operator_has_their_signals_as_inputs():
     lines = [*(f"{line}{rate}" for line in LINES for rate in ("", "_rate")), "oil_temperature"]
     assert list(inputs) == [*levers, "payload_mass", *lines]
     assert all(inputs[line] == (f"swing.{line}", f"boom_stick.{line}") for line in lines)
-    assert wiring(FERIC.subsystems | {"supply": SUPPLY})[1] == {
-        n: inputs[n] for n in (*levers, "payload_mass")
-    }
+    driven = {n: inputs[n] for n in (*levers, "payload_mass")}
+    assert wiring(FERIC.subsystems | {"supply": SUPPLY})[1] == driven
 
 
 def test_assemble_connects_terminals(fmu_dir):
     """Thirteen terminals of the FMUs give the 45 connections of harvester.ssp."""
     rods = [f"boom_stick.{axis}_rod -> manipulator.{axis}_rod" for axis in ("boom", "stick")]
     levers = [f"operator_input.{axis}_lever -> {drive}.{axis}_lever" for axis, (drive, *_) in MOTION.items()]
-    lines = [
-        f"supply.{line}_line_{drive} -> {drive}.{line}_line"
-        for drive in ("swing", "boom_stick")
-        for line in ("supply", "return", "load_sensing")
-    ]
-    wires = [
-        "swing.swing_shaft -> manipulator.swing_shaft",
-        *rods,
-        *levers,
-        "operator_input.grip -> manipulator.grip",
-    ]
+    pairs = product(("swing", "boom_stick"), ("supply", "return", "load_sensing"))
+    lines = [f"supply.{line}_line_{drive} -> {drive}.{line}_line" for drive, line in pairs]
+    wires = [*rods, *levers, "operator_input.grip -> manipulator.grip"]
+    wires.append("swing.swing_shaft -> manipulator.swing_shaft")
     files = {name: fmu_dir / f"{name}.fmu" for name in FERIC.components}
     found = {str(c) for c in assemble(files, [*wires, *lines]).connections}
     assert found == {str(c) for c in load(fmu_dir / "harvester.ssp").connections}
@@ -154,5 +135,5 @@ def test_file_names_variables_of_the_fmu(request, version):
 def test_member_that_is_no_port_is_refused():
     """A terminal with a parameter or an unknown name is told in one line."""
     sub = replace(FERIC.components["swing"], terminals=(lever("grapple"),))
-    with pytest.raises(Problem, match="grapple_lever: grapple_command is not an input or output"):
-        terminals(sub, interface_of(sub, values(sub)))
+    told = "grapple_lever: grapple_command is not an input or output"
+    problem(lambda: terminals(sub, interface_of(sub, values(sub))), told)

@@ -12,22 +12,12 @@ from kit.mistakes import problem, refused
 
 from fmus.identification.recordings.reading import doubtful
 from fmus.machine.build import parts_with_parameters
-from orchestrator import (
-    batch,
-    compare,
-    linearize,
-    load,
-    read_recording,
-    read_trace,
-    reference,
-    run,
-    validate,
-    write_trace,
-)
+from orchestrator import batch, compare, linearize, load, read_recording, read_trace, reference, run, validate
 from orchestrator.__main__ import main
 from orchestrator.base import files
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import doubt
+from orchestrator.data.trace_writer import write_trace
 from orchestrator.engine.run import prepare
 from orchestrator.results.comparison_report import text
 from orchestrator.ssp.plausible import doubtful_signals
@@ -88,9 +78,10 @@ def test_no_column_is_silently_off_by_1000(systems, scenario, column):
     assert told.endswith("did you mean ms?")
 
 
-@pytest.mark.parametrize(
-    "machine", [{}, *(pytest.param(m, marks=shards.search) for m in MACHINES[1:])], ids=str
-)
+OTHERS = (pytest.param(machine, marks=shards.search) for machine in MACHINES[1:])
+
+
+@pytest.mark.parametrize("machine", [{}, *OTHERS], ids=str)
 def test_nothing_shipped_is_doubtful(systems, machine):
     """No parameter set and no scenario, in any variant; zero in place of a parameter neither."""
     for name, system in systems.items():
@@ -106,9 +97,8 @@ def test_studies_batches_and_linear_models_warn_as_well(systems, built):
     """Once, whatever the number of runs; the study in its analysis, too."""
     factor = Factor("supply.pressure_setting", "uniform", {"minimum": 180.0, "maximum": 210.0})
     output = Output("end", "manipulator.boom_angle", "final")
-    study = Study(
-        "Bar", str(built / "harvester.ssp"), "latin", 3, stop=0.01, factors=(factor,), outputs=(output,)
-    )
+    system = str(built / "harvester.ssp")
+    study = Study("Bar", system, "latin", 3, stop=0.01, factors=(factor,), outputs=(output,))
     (told,) = prepare_study(replace(study, fixed={"manipulator.head_mass": 350})).warnings
     assert "supply.pressure_setting = 180 Pa" in told
     assert told.endswith("did you mean 180 bar?")
@@ -124,9 +114,7 @@ def test_an_fmu_that_refuses_a_value_does_not_hide_the_doubt(systems, name):
     """In a run, in one process or two, in a reference and in a linear model: in the line of the error."""
     name, value = name.split("=")
     values = {f"manipulator.{name}": float(value)}
-    told = (
-        rf"is violated at t = 0 s: .*, expected > 0; .*{name} = .* rad, usually .*did you mean {value} deg\?$"
-    )
+    told = rf"is violated at t = 0 s: .*, expected > 0; .*{name} = .* rad, .*did you mean {value} deg\?$"
     for call in (run, partial(run, isolate=False), reference, linearize):
         problem(lambda call=call: call(systems[""], set=values), told)
 
@@ -162,10 +150,8 @@ def test_a_parameter_file_in_another_unit_is_doubtful(tmp_path, capsys, monkeypa
     monkeypatch.setattr(files, "_told", set())
     file = tmp_path / "my.toml"
     entry = 'value = {}\nunit = "kg"\nsource = "assumed"\nnote = "a scale"\n'
-    for mass, told in (
-        (400, ""),
-        (0.4, "my.toml: head_mass = 0.4 kg, usually about 350 kg; did you mean 0.4 t?"),
-    ):
+    light = "my.toml: head_mass = 0.4 kg, usually about 350 kg; did you mean 0.4 t?"
+    for mass, told in ((400, ""), (0.4, light)):
         file.write_text(f'[parameters."manipulator.head_mass"]\n{entry.format(mass)}', encoding="utf-8")
         parts_with_parameters(file)
         assert told in capsys.readouterr().err

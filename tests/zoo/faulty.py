@@ -55,16 +55,10 @@ FAULTS = (*CAUSES, *HANGS, "nan", *HARMLESS[1:])
 PHASES = ("instantiate", "initialise", "step", "free")
 # with one version of FMI, on which only the names of the functions depend: each fault and phase has both.
 # test_sweep.py has every fault in every phase with both
-CASES = tuple(
-    (fault, phase, 3 - (i + j) % 2)
-    for (i, fault), (j, phase) in product(enumerate(FAULTS), enumerate(PHASES))
-)
-CALLS = {  # phase -> FMI function, without prefix
-    "instantiate": "Instantiate",
-    "initialise": "ExitInitializationMode",
-    "step": "DoStep",
-    "free": "FreeInstance",
-}
+PAIRS = product(enumerate(FAULTS), enumerate(PHASES))
+CASES = tuple((fault, phase, 3 - (i + j) % 2) for (i, fault), (j, phase) in PAIRS)
+# FMI functions of the phases, without prefix
+CALLS = dict(zip(PHASES, ("Instantiate", "ExitInitializationMode", "DoStep", "FreeInstance"), strict=True))
 BEGIN = 0.5  # [s]; the fault `step` is committed in the step that begins here
 MEMORY = 0.5  # [GB], the limit in the tests: above the 0.15 GB of a process, below the 4 GB that `leak` takes
 STUDY = Path(__file__).with_name("study.toml").read_text("utf-8")
@@ -119,8 +113,7 @@ def faulty(
     archive = archive.swap(f'"{token}"', f'"{token} {fault} {phase} {made.committed}"')
     exchange = description.partition("<ModelExchange")[2].partition("<CoSimulation")[0]
     archive = archive.swap(f"<ModelExchange{exchange}", "")
-    derivative = "providesDirectionalDerivative" + "s" * (major - 2)
-    unused = [f' {derivative}="true"']
+    unused = [f' providesDirectionalDerivative{"s" * (major - 2)}="true"']
     unused += ['<SourceFiles><File name="lag.c"/></SourceFiles>'] if major == 2 else []
     for text in unused:
         archive = archive.swap(text, "")

@@ -21,10 +21,9 @@ QUICK = [("exec", "run"), ("twin", "run"), ("garbage", "accuracy")]
 
 def documented(misuse: str, name: str) -> str:
     """The word in the table."""
-    rows = (
-        line for line in PAGE.read_text("utf-8").splitlines() if line.startswith(f"| {MISUSES[misuse]} |")
-    )
-    return next(rows).split("|")[2 + COMMANDS.index(name)].strip()
+    lines, begin = PAGE.read_text("utf-8").splitlines(), f"| {MISUSES[misuse]} |"
+    row = next(line for line in lines if line.startswith(begin))
+    return row.split("|")[2 + COMMANDS.index(name)].strip()
 
 
 @pytest.mark.parametrize(("misuse", "name"), shards.few(QUICK, CASES, shards.faults))
@@ -34,9 +33,10 @@ def test_a_misuse_ends_as_documented(tmp_path: Path, misuse: str, name: str) -> 
     assert word == documented(misuse, name) or (misuse, name, word) in BY_SPEED
 
 
-@pytest.mark.parametrize(
-    ("misuse", "name"), shards.few([("exec", "batch"), ("signals", "run")], CASES, shards.faults)
-)
+QUICKER = [("exec", "batch"), ("signals", "run")]
+
+
+@pytest.mark.parametrize(("misuse", "name"), shards.few(QUICKER, CASES, shards.faults))
 def test_an_interrupt_at_any_time_leaves_nothing(tmp_path: Path, misuse: str, name: str) -> None:
     """And the same holds."""
     play(misuse, name, tmp_path, random.Random(f"{SEED} {misuse} {name}").uniform(0.0, MOST_DELAY))

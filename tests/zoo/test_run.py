@@ -16,6 +16,7 @@ STEP, STOP = 0.01, 1.0  # [s]
 LIMIT = 1.5  # [s]; the fault is committed after a tenth of it
 QUICK = [("segfault", "step", 2, False), ("spin", "step", 3, True), ("exit_0", "instantiate", 3, True)]
 QUICK += [("nan", "step", 3, False)]
+HANGING = [("spin", "step"), ("sleep", "step"), ("spin", "instantiate")]
 # each fault, phase and version of FMI alone and swapped into a system
 SWAPPED = [(*case, (k // 8 + k + 1) % 2 == 1) for k, case in enumerate(CASES)]
 EARLIER = "time,lag.y\n0,1\n"  # a result of an earlier run
@@ -43,9 +44,8 @@ def _check_rows(folder: Path, fmu: Faulty) -> None:
         return
     end = BEGIN if fmu.phase == "step" and not fmu.harmless else STOP
     # an integer count times the step, in another order of operations
-    np.testing.assert_allclose(
-        read_trace(partial).time, np.arange(0, end + STEP / 2, STEP), rtol=0, atol=1e-12
-    )
+    times = np.arange(0, end + STEP / 2, STEP)
+    np.testing.assert_allclose(read_trace(partial).time, times, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("fault", "phase", "major", "swapped"), shards.few(QUICK, SWAPPED, shards.faults))
@@ -70,9 +70,6 @@ def test_a_fault_ends_the_run_in_one_line(
     assert len(ended.lines) == 1
     assert ended.lines[0].startswith("harvester: ")
     fmu.assert_told(ended.lines[0], component, CAUSES.get(fault, f"not done within {LIMIT:g} s"))
-
-
-HANGING = [("spin", "step"), ("sleep", "step"), ("spin", "instantiate")]
 
 
 @pytest.mark.parametrize(("fault", "phase"), shards.few(HANGING[:1], HANGING, shards.faults))

@@ -22,6 +22,7 @@ SELECTED = [(fault, "step") for fault in FAULTS if fault not in ("exit_7", "over
 SELECTED += [("spin", "instantiate"), ("exit_0", "initialise"), ("exit_0", "free"), ("sleep", "free")]
 QUIET = ("--no-open", "--port", "0")
 QUICK = [("segfault", "step"), ("spin", "step"), ("exit_0", "initialise")]
+HANGING = [("spin", "instantiate"), ("sleep", "step")]
 
 
 def _timeouts(fault: str) -> tuple[float, float]:
@@ -81,9 +82,10 @@ def test_a_fault_fails_the_machine(
     assert until(lambda: not runs(int(fmu.committed.read_text())))
 
 
-@pytest.mark.parametrize(
-    ("fault", "phase", "major"), shards.few([("abort", "step", 3)], CASES, shards.faults)
-)
+ABORT = [("abort", "step", 3)]
+
+
+@pytest.mark.parametrize(("fault", "phase", "major"), shards.few(ABORT, CASES, shards.faults))
 def test_the_terminal_tells_the_fault(tmp_path: Path, fault: str, phase: str, major: int) -> None:
     """In one line, also while an FMU hangs; Ctrl-C ends the command and leaves nothing."""
     fmu = faulty(tmp_path, fault, phase, major)
@@ -112,9 +114,7 @@ def test_the_terminal_tells_the_fault(tmp_path: Path, fault: str, phase: str, ma
         assert len(read_trace(file).time) >= (51 if phase == "step" else 1)
 
 
-@pytest.mark.parametrize(
-    ("fault", "phase"), [("spin", "instantiate"), pytest.param("sleep", "step", marks=shards.faults)]
-)
+@pytest.mark.parametrize(("fault", "phase"), shards.few(HANGING[:1], HANGING, shards.faults))
 def test_an_interrupt_is_obeyed_while_an_fmu_hangs(tmp_path: Path, fault: str, phase: str) -> None:
     """Before the page is there, and after."""
     fmu = faulty(tmp_path, fault, phase)

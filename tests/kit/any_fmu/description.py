@@ -98,11 +98,8 @@ class Description:
             groups = {"Output": outputs, "ContinuousStateDerivative": derivatives, "InitialUnknown": initial}
             groups["EventIndicator"] = indicators
             structure = "".join(f"<{name} {u}/>" for name, found in groups.items() for u in found)
-        head = {
-            "fmiVersion": self.version or f"{fmi}.0",
-            "modelName": self.name,
-            token: self.token or self.name,
-        }
+        head = {"fmiVersion": self.version or f"{fmi}.0", "modelName": self.name}
+        head[token] = self.token or self.name
         kinds = (f"<{k}{_attributes({'modelIdentifier': self.name, **a})}/>" for k, a in self.kinds.items())
         enumerations = any(v.kind == "Enumeration" for v in self.variables)
         experiment = f"<DefaultExperiment {self.experiment}/>\n" if self.experiment else ""

@@ -21,14 +21,11 @@ RATES = {  # more of the masses: their input moves at it
     "mass_b": V("force_rate", "input", "N/s", 0.0, derives="force"),
 }
 STATES = {  # more of the masses: time derivatives of their states
-    "mass_a": [
+    model: [
         V("der_x", "local", "m/s", depends=["v"], derives="x", place=14),
-        V("der_v", "local", "m/s2", depends=["x2", "x"], derives="v", place=15),
-    ],
-    "mass_b": [
-        V("der_x", "local", "m/s", depends=["v"], derives="x", place=14),
-        V("der_v", "local", "m/s2", depends=["force", "x"], derives="v", place=15),
-    ],
+        V("der_v", "local", "m/s2", depends=[pushed, "x"], derives="v", place=15),
+    ]
+    for model, pushed in (("mass_a", "x2"), ("mass_b", "force"))
 }
 YES = "true"
 ABLE: Mapping[int, Mapping[str, object]] = {

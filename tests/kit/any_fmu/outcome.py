@@ -19,8 +19,6 @@ MASTERS = [
     *(Coupling("jacobi", 0), Coupling("jacobi", 1), Coupling("jacobi", 2)),
     *(Coupling("gauss-seidel", 0), Coupling("gauss-seidel", 1), HERMITE),
 ]
-
-
 MAKERS = (  # methods of a slave that make a call
     *("reader", "writer", "output_derivative_reader", "input_derivative_writer"),
     "directional_derivative",
@@ -104,13 +102,10 @@ CIRCLE, TURNS = ["p.y -> q.u", "q.y -> p.u"], {"q.push": 1.0, "q.gain": -1.0}
 
 def circle(workshop: Workshop, quirk: str = "plain", able=None, changes=None, **start) -> System:
     """p' = q and q' = 1 - p, from rest at 0, so q = sin t; the component q is the one with the quirk."""
-    curved = workshop.fmi == 2 and not (changes or {}).get("u_rate")
-    known = {
-        k: v for k, v in (able or {}).items() if k not in NO_ROLLBACK or ("Us" in k) == (workshop.fmi == 2)
-    }
-    name = f"quirk_{quirk}"
-    files = {
-        "p": workshop.make("quirk", "quirk_p", interpolates=workshop.fmi == 2),
-        "q": workshop.make("quirk", name, interpolates=curved, able=known, changes=changes),
-    }
+    second = workshop.fmi == 2
+    curved = second and not (changes or {}).get("u_rate")
+    known = {k: v for k, v in (able or {}).items() if k not in NO_ROLLBACK or ("Us" in k) == second}
+    own = {"interpolates": curved, "able": known, "changes": changes}
+    p = workshop.make("quirk", "quirk_p", interpolates=second)
+    files = {"p": p, "q": workshop.make("quirk", f"quirk_{quirk}", **own)}
     return assemble(files, CIRCLE, TURNS | {f"q.{k}": v for k, v in start.items()})
