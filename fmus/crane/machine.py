@@ -23,7 +23,7 @@ from fmus.controller.paths import Pose
 from fmus.crane.check import outputs_at_start
 from fmus.crane.controller import controlled, controller, hanging_sway, start_pose
 from fmus.crane.description import NEW, CraneDescription, JointDescription, read
-from fmus.crane.manipulator import NAME, manipulator
+from fmus.crane.manipulator import NAME, Dry, manipulator
 from fmus.crane.view import page_files
 from fmus.diagnosis import diagnosis
 from fmus.drives import cylinder, motor
@@ -119,7 +119,7 @@ def taken() -> dict[str, str]:
     drivers = filter(None, (m.operator, m.controller, m.actuation, m.sensors, m.diagnosis))
     subs = [*(sub for family in m.families.values() for sub in family.values()), *drivers]
     names = [n for s in subs for g in (s.parameters, s.states, s.inputs, s.outputs) for n in quantities(g)]
-    names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))]
+    names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))] + [*quantities(Dry)]
     joints = {*AXES, *(j.name for j in crane.joints)}  # and the axes of the paper's machine
     words = {n.partition("_")[0]: f"the machine has the name {n}" for n in reversed(names)}
     for language, keywords in {"Modelica": MODELICA, "C": C, "Python": kwlist}.items():

@@ -210,7 +210,7 @@ def test_a_passive_joint_without_damping_is_a_warning(tmp_path):
     """A line below the tables, no mistake; the example has none."""
     path = changed(tmp_path, ("damping = 60\n\n[grapple]", "\n[grapple]"))
     (line,) = (line for line in told_of(read(path)).splitlines() if "warning" in line)
-    assert line == f"warning: {path}: [link] passive and without damping: it swings for ever"
+    assert line == f"warning: {path}: [link] passive, without damping and friction: it swings for ever"
 
 
 def test_a_small_lever_is_a_warning_and_the_dead_point_ends_a_run(tmp_path):
