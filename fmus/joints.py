@@ -71,7 +71,7 @@ class JointModel:
     lever       sign of its lever arm J
     stop        end stops on both sides: position [rad or m], stiffness, damping, rounding; None: no stops
     stop_shown  output of their torque
-    contact     name of the joint in a law of dry friction; ""; viscous friction only
+    contacts    names of the joint and of its piston in a law of dry friction; "": viscous friction only
     follows     whether its link follows another one
     rests       whether it starts at rest under gravity
     """
@@ -87,7 +87,7 @@ class JointModel:
     lever: float = 1.0
     stop: Callable[[Any], tuple[Scalar, Scalar, Scalar, Scalar]] | None = None
     stop_shown: str = ""
-    contact: str = ""
+    contacts: tuple[str, str] = ("", "")
     follows: bool = False
     rests: bool = False
 
@@ -136,7 +136,7 @@ class Mechanics:
     views      (mechanics, q of the joints, their speeds, x, u, p) -> further outputs
     ground     (p) -> height, stiffness, damping, friction of the ground under the tip; None: no ground
     turn       coordinates of the joints over those of the states, a constant matrix; None: they are the same
-    dry        law of friction of the joints with a contact, and of their pistons
+    dry        law of friction of the joints and pistons with a contact
     stored     output of the elastic energy beside that of the end stops
     external   whether a force on the tip is an input
     limits     (x, p) -> further requirements of `require`
@@ -216,12 +216,13 @@ class Mechanics:
 
     def pistons(self, x: Any, p: Any) -> dict[str, Piston]:
         """Of the joints with a cylinder, by name."""
-        law, found = (p.stop_stiffness, p.stop_damping, p.stop_rounding), dict[str, Piston]()
+        found = dict[str, Piston]()
         for j in self.free:
             if j.drive and j.piston:
-                t = j.drive(p).at(getattr(x, j.coordinate))
-                velocity = t.velocity(getattr(x, f"{j.name}_speed"))
-                found[j.name] = Piston(t, velocity, cylinder.stop(t.position, velocity, j.piston(p)[0], *law))
+                t, law = j.drive(p).at(getattr(x, j.coordinate)), (p.stop_stiffness, p.stop_damping)
+                velocity, stroke = t.velocity(getattr(x, f"{j.name}_speed")), j.piston(p)[0]
+                stop = cylinder.stop(t.position, velocity, stroke, *law, p.stop_rounding)
+                found[j.name] = Piston(t, velocity, stop)
         return found
 
     # ---- forces
@@ -232,18 +233,17 @@ class Mechanics:
         pistons, applied = self.pistons(x, p), flat(u)
         friction, stops, stored, tau = dict[str, Resistance](), dict[str, Stop](), ca.SX(0), list[Scalar]()
 
-        def resistance(contact: str, is_dry: bool, speed: Scalar, damping: Scalar) -> Scalar:
-            law = self.dry if is_dry else None
-            friction[contact] = law(contact, speed, x, p, damping) if law else viscous(speed, damping)
-            return friction[contact].force
+        def resistance(contact: str, other: str, speed: Scalar, damping: Scalar) -> Scalar:
+            law, name = self.dry if contact else None, contact or other
+            friction[name] = law(name, speed, x, p, damping) if law else viscous(speed, damping)
+            return friction[name].force
 
         for k, j in enumerate(self.free):
-            dry, contact = bool(j.contact), j.contact or f"{j.name}_joint"
-            own = -resistance(contact, dry, w[k], j.damping(p))
+            own = -resistance(j.contacts[0], f"{j.name}_joint", w[k], j.damping(p))
             if j.motor:
                 own += applied[f"{j.name}_torque"]
             if j.piston and (piston := pistons.get(j.name)):
-                loss = resistance(f"{j.name}_piston", dry, piston.velocity, j.piston(p)[1])
+                loss = resistance(j.contacts[1], f"{j.name}_piston", piston.velocity, j.piston(p)[1])
                 own += piston.transmission.effort(applied[f"{j.name}_force"] - loss + piston.stop.force)
             if j.stiffness:
                 own -= j.stiffness(p) * q[k]
@@ -319,10 +319,9 @@ class Mechanics:
             if j.drive and isinstance(linkage := j.drive(p), FourBar):
                 angles = linkage.angles(getattr(x, j.coordinate))
                 found |= {f"{name}_{bar}_angle": a for bar, a in zip(BARS, angles, strict=True)}
-            if j.contact:
-                found[f"{name}_friction_torque"] = forces.friction[j.contact].force
-            if f"{name}_piston" in forces.friction:
-                found[f"{name}_friction_force"] = forces.friction[f"{name}_piston"].force
+            for contact, shown in zip(j.contacts, ("torque", "force"), strict=True):
+                if contact:
+                    found[f"{name}_friction_{shown}"] = forces.friction[contact].force
             if j.stop:
                 found[j.stop_shown] = forces.stops[name].force
         for j, link in zip(self.joints, chain.links, strict=True):

@@ -87,6 +87,10 @@ class CurvedEdges(OpeningCurves, Edges):
 class CurvedValve(OpeningCurves, Valve):
     """Parameters of a valve without dynamics, each edge with an optional table of its opening curve."""
 
+    def openings(self, command: Scalar) -> dict[str, Scalar]:
+        """Openings [1] of the edges at a command [V]; a valve of another kind has its own."""
+        return edge_openings(self, command)
+
 
 def position(text: str) -> Quantity:
     """Declaration of the position of a spool as an output: beyond its stroke there is no spool."""
@@ -200,7 +204,7 @@ def ports_from_flow(
     valve: CurvedValve, command: Scalar, flows: Pair, lines: Lines, oil: Liquid
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a command [V], from the line flows [m3/s] out of A and B."""
-    return _ports(valve, edge_openings(valve, command), flows, lines, oil)
+    return _ports(valve, valve.openings(command), flows, lines, oil)
 
 
 def _ports(
@@ -244,7 +248,7 @@ def ports_from_pressure(
     valve: CurvedValve, command: Scalar, pressures: Pair, lines: Lines, oil: Liquid, line: Law | None
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a command [V], from the chamber pressures [Pa]; lines without inertance."""
-    share = edge_openings(valve, command)
+    share = valve.openings(command)
     area_a, area_b = (valve.area * (share[x] + share[y]) for x, y in (("pa", "at"), ("pb", "bt")))
     forward, p_s, p_t = command > 0, lines.supply_pressure, lines.tank_pressure
     behind_a = ca.if_else(forward, p_s, p_t)

@@ -39,7 +39,7 @@ from fmus.crane.description import (
     CraneDescription,
     JointDescription,
 )
-from fmus.crane.manipulator import manipulator
+from fmus.crane.manipulator import contacts, manipulator
 from fmus.joints import Mechanics
 from fmus.parameters import Number, Values, values
 from orchestrator.base.errors import Mistakes, Problem
@@ -229,7 +229,8 @@ def _axis(
     pressure = crane.numbers["supply"]["pressure_setting"].value
     hose = math.pi / 4 * joint["hose_bore"] ** 2 * joint["hose_length"]
     if joint.drive == "motor":
-        low, high, levers, lever = -math.inf, math.inf, (1.0, 1.0), 1.0
+        high = joint["stop_at"] if "stop_at" in joint.numbers else math.inf
+        low, levers, lever = -high, (1.0, 1.0), 1.0
         head = rod = joint["motor_displacement"] * joint["gear_ratio"]
         sizes, effort, larger = (joint["motor_volume"],) * 2, "torque", "a larger motor, more ratio"
     else:
@@ -269,7 +270,7 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     sub = manipulator(crane)
     of, v = sub.model, values(sub)
     p = nested(of.parameters, v.p)
-    axes = [a for a in found if math.isfinite(a.low)]
+    axes = [a for a in found if a.joint.drive != "motor"]
     s, q = ca.SX.sym("s", len(axes)), _coordinates(of, v)
     for k, a in enumerate(axes):
         q[of.index(a.joint.name)] = s[k]
@@ -309,7 +310,7 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
 
 def lifting_moment(found: Sequence[AxisCheck]) -> float:
     """Gross: largest moment of the first cylinder about its joint [N.m], 0 without one."""
-    first = next((a for a in found if a.joint.kind == "revolute" and math.isfinite(a.low)), None)
+    first = next((a for a in found if a.joint.kind == "revolute" and a.joint.drive != "motor"), None)
     return first.push * first.levers[1] if first else 0.0
 
 
@@ -383,10 +384,11 @@ def _doubts(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str
         weightless = not (j["stiffness"] or any(j[f"inertia_{n}"] for n in INERTIAS))
         if j["mass"] == 0 and (weightless or j.drive in ("cylinder", "four-bar")):
             yield f"[{j.name}] has no mass"
-        if j.drive == "none" and not j.follows and j["damping"] == 0:
-            yield f"[{j.name}] passive and without damping: it swings for ever"
+        rubs = j["damping"] or any(contacts(j))
+        if j.drive == "none" and not j.follows and not rubs:
+            yield f"[{j.name}] passive, without damping and friction: it swings for ever"
     for a in found:
-        if math.isfinite(a.low) and a.levers[0] < SMALL_LEVER * a.levers[1]:
+        if a.levers[0] < SMALL_LEVER * a.levers[1]:
             least, largest = (1e3 * x for x in a.levers)
             yield (
                 f"[{a.joint.name}] lever down to {least:.0f} of {largest:.0f} mm near an end of the stroke, "

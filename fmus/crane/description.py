@@ -77,6 +77,7 @@ DRIVES: Mapping[str, Mapping[str, Key]] = {
         "rod": Key("m", ("rod",), None, 0.005, 0.5),
         "dead_volume": Key("m3", ("dead_volume",), 3e-4, 1e-6, 0.1),
         "damping": Key("N.s/m", ("piston_damping",), 2e4, 0.0),
+        "friction": Key("N", ("piston_coulomb",), 0.0, 0.0),
     },
     "four_bar": {
         "pivot": _length("pivot_x", "pivot_z", default=None),
@@ -131,8 +132,8 @@ DATASHEET = {
     "reach": Key("m", ("reach",), 0.0, 0.0),
 }
 WORDS = (
-    *("joint", "axis", "parent", "drive", "follows", "ratio", "inertia", "damping", "stiffness"),
-    *("shape", "source", "note"),
+    *("joint", "axis", "parent", "drive", "follows", "ratio", "inertia", "damping", "friction", "stiffness"),
+    *("stop", "shape", "source", "note"),
 )
 TEXTS = ("title", "source", "note")
 WORD, PART = "[a-z][a-z0-9]*", "[a-z][a-z0-9_]*"
@@ -444,7 +445,16 @@ def _joint(
     if "stiffness" in given and (drive != "none" or follows):
         reader.wrong(name, f"stiffness: expected none of a joint with a drive, got {given['stiffness']!r}")
     reader.unknown(name, given, (*BODY, *WORDS, *USED[drive]))
-    numbers = reader.numbers(name, given, {**BODY, "damping": damping, "stiffness": stiffness})
+    own = {"damping": damping, "stiffness": stiffness}
+    if rotational:
+        own["friction"] = Key("N.m", ("coulomb",), 0.0, 0.0)
+    elif "friction" in given:
+        reader.wrong(name, "friction: expected none of a prismatic joint: its cylinder has one")
+    numbers = reader.numbers(name, given, {**BODY, **own})
+    if "stop" in given:
+        if follows or drive in ("cylinder", "four-bar"):
+            reader.wrong(name, "stop: expected none of a joint that follows another one or has a cylinder")
+        numbers |= _stop(reader, name, given["stop"], rotational)
     numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
     part, assembly = "drives", "above"
     for table in USED[drive]:
@@ -475,6 +485,9 @@ def _joint(
         if closed < least:
             expected = f"at least {least:g} mm, the stroke and a bore for piston, gland and eyes"
             reader.wrong(f"{name}.cylinder", f"closed: expected {expected}, got {closed:g} mm")
+    begin = reader.numbers("start", starts, {name: start})[name]
+    if "stop_at" in numbers and abs(begin.value) > numbers["stop_at"].value:
+        reader.wrong("start", f"{name}: expected between the end stops of the joint, got {starts[name]!r}")
     return JointDescription(
         name=name,
         kind="revolute" if rotational else "prismatic",
@@ -482,7 +495,7 @@ def _joint(
         parent="" if parent == "base" else parent,
         drive=drive,
         numbers=numbers,
-        start=reader.numbers("start", starts, {name: start})[name],
+        start=begin,
         follows=follows,
         ratio=Number(
             reader.quantity(name, "ratio", given.get("ratio", 1.0), "1"), "1", reader.source, reader.note
@@ -491,6 +504,20 @@ def _joint(
         assembly=cast(Assembly, assembly),
         shape=_shape(reader, name, given.get("shape")),
     )
+
+
+def _stop(reader: _Reader, name: str, value: Any, rotational: bool) -> dict[str, Number]:
+    """End stops on both sides of a joint; their defaults are those of the paper's column."""
+    where, unit = f"{name}.stop", "rad" if rotational else "m"
+    keys = {
+        "at": Key(unit, ("stop_at",), None, 1e-3, TURN if rotational else LARGEST_LENGTH),
+        "stiffness": Key("N.m/rad" if rotational else "N/m", ("stop_stiffness",), 3e6, 1.0),
+        "damping": Key(f"s/{unit}", ("stop_damping",), 0.5, 0.0),
+    }
+    if not (given := reader.tables(where, value)):
+        return {}
+    reader.unknown(where, given, keys)
+    return reader.numbers(where, given, keys)
 
 
 def _shape(reader: _Reader, name: str, value: Any) -> Path | None:

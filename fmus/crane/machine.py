@@ -8,22 +8,23 @@ or follow from those that it has (`_settings`, `_sized`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from keyword import kwlist
 from pathlib import Path
+from typing import Any
 
 from fmus import boom_stick, ports, swing
 from fmus import supply as supplies
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
-from fmus.contract import Quantity, Subsystem, family, make_group, quantities
+from fmus.contract import Quantity, Subsystem, family, make_group, nested, quantities
 from fmus.controller.paths import Pose
 from fmus.crane.check import outputs_at_start
 from fmus.crane.controller import controlled, controller, hanging_sway, start_pose
 from fmus.crane.description import NEW, CraneDescription, JointDescription, read
-from fmus.crane.manipulator import NAME, manipulator
+from fmus.crane.manipulator import NAME, Dry, manipulator
 from fmus.crane.view import page_files
 from fmus.diagnosis import diagnosis
 from fmus.drives import cylinder, motor
@@ -119,7 +120,7 @@ def taken() -> dict[str, str]:
     drivers = filter(None, (m.operator, m.controller, m.actuation, m.sensors, m.diagnosis))
     subs = [*(sub for family in m.families.values() for sub in family.values()), *drivers]
     names = [n for s in subs for g in (s.parameters, s.states, s.inputs, s.outputs) for n in quantities(g)]
-    names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))]
+    names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))] + [*quantities(Dry)]
     joints = {*AXES, *(j.name for j in crane.joints)}  # and the axes of the paper's machine
     words = {n.partition("_")[0]: f"the machine has the name {n}" for n in reversed(names)}
     for language, keywords in {"Modelica": MODELICA, "C": C, "Python": kwlist}.items():
@@ -155,23 +156,22 @@ def drives(
     of, (fidelity, text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
     make = partial(part, name, axes, text=f"Hydraulic drives of {of}: {text}", validity=validity)
     sub = make(fidelity)
-    rotary, hydraulic = (numbers(s.VARIANTS[variant])["parameters"] for s in (swing, boom_stick))
-    common = {**rotary, **hydraulic}
+    of_swing, of_arm = swing.VARIANTS[variant], boom_stick.VARIANTS[variant]
+    common = {**numbers(of_swing)["parameters"], **numbers(of_arm)["parameters"]}
     common = {**common, **_settings(crane, common), **crane.numbers["oil"]}
     sized = {j.name: {**j.numbers, **_sized(crane, j, common, pose)} for j in joints}
-    found = dict[str, Number]()
-    for full, declared in quantities(sub.parameters).items():
-        joint = next((j for j in joints if full.startswith(f"{j.name}_")), None)
-        if joint is None:
-            found[full] = common[full]
-            continue
-        short = full.removeprefix(f"{joint.name}_")
-        shipped, axis = (rotary, swing) if joint.drive == "motor" else (hydraulic, boom_stick)
-        names = axis.AXES[0].parameter(short), short, short.removeprefix("valve_")
-        own = sized[joint.name].get(RENAMED.get(short, short))
-        given = own or next((shipped[n] for n in names if n in shipped), None)
-        # else of a component that is only there with faults
-        found[full] = given or Number(declared.value or 0.0, declared.unit, "derived", "healthy")
+    declared, found = quantities(sub.parameters), dict[str, Number]()
+    names = nested(sub.parameters, {n: n for n in declared})
+    for (
+        j
+    ) in joints:  # a default is the number at the same place in the paper's swing or boom, or in their valve
+        shipped, axis = (of_swing, swing.AXES) if j.drive == "motor" else (of_arm, boom_stick.AXES)
+        known = nested(shipped.parameters, numbers(shipped)["parameters"])
+        like = vars(getattr(known, axis[0].name)) | {n: getattr(known, n) for n in fidelity.of_valve("")}
+        for full, default in _alike(getattr(names, j.name), like):
+            short = full.removeprefix(f"{j.name}_")
+            found[full] = sized[j.name].get(RENAMED.get(short, short)) or default or healthy(declared[full])
+    found |= {n: common[n] for n in declared if n not in found}
     # of an FMU alone, whose inputs are not connected: the start pose, at rest while rate inputs are open, the
     # pressure of the supply, warm oil
     start = {"supply_pressure": crane.numbers["supply"]["pressure_setting"]}
@@ -186,6 +186,22 @@ def drives(
         p = parameters(sub)
         sub = replace(make(detailed(lambda axis: needed(axis, p))), numbers=sub.numbers)
     return sub
+
+
+def _alike(names: Any, numbers: Mapping[str, Any]) -> Iterator[tuple[str, Number | None]]:
+    """The names in a group, each with the number at the same place in another one; None: there is none."""
+    for n, name in vars(names).items():
+        if isinstance(name, str):
+            yield name, numbers.get(n)
+        else:
+            yield from _alike(name, vars(numbers[n]) if n in numbers else {})
+
+
+def healthy(declared: Quantity) -> Number:
+    """Of a component that is only there with faults: the value that it declares, which does nothing."""
+    if declared.value is None:
+        raise Problem(f"{declared.text}: expected a value in its declaration, got none")
+    return Number(declared.value, declared.unit, "derived", "healthy")
 
 
 def _derived(value: float, unit: str, note: str) -> Number:

@@ -22,6 +22,17 @@ from fmus.components.linkage import Cylinder, Drive, FourBar, Telescope
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities
 from fmus.crane.description import INERTIAS, CraneDescription, JointDescription
 from fmus.joints import BARS, JointModel, Mechanics
+from fmus.manipulator import MANIPULATOR, VARIANTS
+from fmus.manipulator.friction import (
+    FrictionParameters,
+    JointBristles,
+    JointContact,
+    JointLaw,
+    PistonBristles,
+    PistonContact,
+    PistonLaw,
+    resist,
+)
 from fmus.manipulator.variables import (
     CylinderInputs,
     CylinderOutputs,
@@ -30,9 +41,10 @@ from fmus.manipulator.variables import (
     ManipulatorParameters,
     ManipulatorState,
 )
-from fmus.parameters import Number, Tables
+from fmus.parameters import Number, Tables, numbers
 
 NAME = "manipulator"
+STOP_ROUNDING = 0.01  # rad or m, smoothing of the effort of the end stops of joints
 TIP_FORCE = {
     f"tip_force_{n}": Quantity("N", f"External force on the tip, {text}", 1e3)
     for n, text in (("x", "forward"), ("y", "to the left"), ("z", "upwards"))
@@ -56,6 +68,9 @@ TEXTS = {  # of the parameters of a joint; "{}" is its name
     **{f"inertia_{n}": f"Moment of inertia {n} of the {{}} about its centre of mass" for n in INERTIAS},
     "damping": "Viscous friction of the {} joint",
     "stiffness": "Stiffness of the spring in the {} joint, which is without force at 0",
+    "stop_at": "Position of the {} joint, to both sides of 0, at which its end stops begin",
+    "stop_stiffness": "Stiffness of the end stops of the {} joint",
+    "stop_damping": "Contact damping of the end stops of the {} joint (Hunt and Crossley)",
     **{f"base_{n}": f"Base pin of the {{}} cylinder from the joint, {n}" for n in "xz"},
     **{f"pin_{n}": f"Rod pin of the {{}} cylinder from the joint, {n}" for n in "xz"},
     "closed_length": "Pin-to-pin length of the closed {} cylinder",
@@ -71,6 +86,9 @@ MINIMA = {
     "mass": 0.0,
     "damping": 0.0,
     "stiffness": 0.0,
+    "stop_at": 1e-3,
+    "stop_stiffness": 1.0,
+    "stop_damping": 0.0,
     "piston_damping": 0.0,
     "stroke": 1e-3,
     "rocker": 1e-3,
@@ -88,6 +106,30 @@ class MotorInputs(Group):
 def _of(group: type[Any], *names: str) -> dict[str, Quantity]:
     declared = quantities(group)
     return {n: declared[n] for n in names}
+
+
+class Dry(
+    Group,
+    joint=(JointLaw, "joints", "dry_joint_{}".format),
+    piston=(PistonLaw, "pistons", "dry_piston_{}".format),
+):
+    """Shape of the dry friction of all joints and pistons that have some."""
+
+    bristle_damping_time: Scalar = quantities(FrictionParameters)["bristle_damping_time"]
+
+
+# a number of a joint -> name of its contact, its parameter, its state, the output of its friction
+CONTACTS = {
+    "coulomb": ("joint", JointContact, JointBristles, "torque", "N.m"),
+    "piston_coulomb": ("piston", PistonContact, PistonBristles, "force", "N"),
+}
+
+
+def contacts(joint: JointDescription) -> tuple[str, str]:
+    """Names of those with dry friction: of the joint and of its piston, "" without."""
+    known = (n in joint.numbers and joint[n] > 0 for n in CONTACTS)
+    of_joint, of_piston = (f"{joint.name}_{c[0]}" * k for k, c in zip(known, CONTACTS.values(), strict=True))
+    return of_joint, of_piston
 
 
 def numbers_of(joint: JointDescription) -> dict[str, Number]:
@@ -129,6 +171,10 @@ def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
             return Cylinder(base, pin, closed)
         return FourBar(base, closed, pivot, rocker, coupler, end, j.assembly)
 
+    def stop(p: Any) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+        at, stiffness, damping = of(p, "stop_at", "stop_stiffness", "stop_damping")
+        return at, stiffness, damping, STOP_ROUNDING
+
     has_cylinder = not j.follows and j.drive in ("cylinder", "four-bar")
     model = JointModel(
         name=j.name,
@@ -139,6 +185,9 @@ def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
         motor=j.drive == "motor",
         drive=drive if has_cylinder else None,
         piston=(lambda p: (one("stroke")(p), one("piston_damping")(p))) if has_cylinder else None,
+        stop=stop if "stop_at" in own else None,
+        stop_shown=f"{j.name}_stop_torque",
+        contacts=contacts(j),
         follows=bool(j.follows),
         rests=not j.follows and j.drive == "none" and (j.kind == "revolute" or "stiffness" in own),
     )
@@ -199,13 +248,14 @@ def mechanics(
         views=views,
         ground=ground if crane.ground else None,
         stored="elastic_energy",
+        dry=resist if any(any(contacts(j)) for j in crane.joints) else None,
         external=True,
     )
 
 
 def manipulator(crane: CraneDescription) -> Subsystem:
     """The subsystem of a crane."""
-    parameters, numbers = _parameters(crane)
+    parameters, tables = _parameters(crane)
     free = [j for j in crane.joints if not j.follows]
     pistons = [j for j in free if j.drive in ("cylinder", "four-bar")]
     motors = [j for j in free if j.drive == "motor"]
@@ -217,7 +267,11 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         )
         states[f"{j.name}_speed"] = Quantity(rate, f"Speed of the {j.name} joint")
     held = _of(ManipulatorState, "held_mass", "payload_flow")
-    state = make_group("State", {**states, **held})
+    rubbing = [
+        (j, name, c) for j in free for name, c in zip(contacts(j), CONTACTS.values(), strict=True) if name
+    ]
+    bristles = {name: (c[2], f"{j.name} {c[0]}") for j, name, c in rubbing}
+    state = make_group("State", {**states, **held}, **bristles)
     inputs = make_group(
         "Inputs",
         _of(ManipulatorInputs, "payload_mass") | TIP_FORCE,
@@ -242,12 +296,32 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         if j.drive == "four-bar"
         for bar in BARS
     }
+    shown |= {
+        f"{j.name}_friction_{c[3]}": Quantity(
+            c[4], f"Friction of the {j.name} {c[0]}, against its motion", 1e3
+        )
+        for j, _, c in rubbing
+    }
+    shown |= {
+        f"{j.name}_stop_torque": Quantity(
+            "N.m" if j.kind == "revolute" else "N",
+            f"Effort of the end stops of the {j.name} joint: zero except at the ends of its range",
+            1e4,
+            warn_above=1.0,
+        )
+        for j in free
+        if "stop_at" in j.numbers
+    }
     shown["tip_force_power"] = Quantity("W", "Power of the external force on the tip", 1e3)
     shown["crane_tip_radius"] = Quantity(
         "m", "Distance of the crane tip, the end of the driven arm, from the slewing joint, seen from above"
     )
     shown["crane_tip_height"] = Quantity("m", "Height of the crane tip above the base")
-    shown["elastic_energy"] = Quantity("J", "Elastic energy of springs in joints and of the ground", 1e3)
+    shown["elastic_energy"] = Quantity(
+        "J",
+        "Elastic energy of springs and friction, of the ground, and of the stops of joints without a drive",
+        1e3,
+    )
     if crane.ground:
         shown["ground_force"] = Quantity("N", "Normal force of the ground on the tip", 1e4)
     outputs = make_group(
@@ -264,18 +338,15 @@ def manipulator(crane: CraneDescription) -> Subsystem:
     return of.subsystem(
         name=NAME,
         text=f"Crane: {crane.title}",
-        validity="rigid links, viscous friction",
-        numbers=numbers,
+        validity=f"rigid links, {'dry' if rubbing else 'viscous'} friction",
+        numbers=tables,
         terminals=terminals,
-        stiff=False,
+        stiff=bool(rubbing),
     )
 
 
 def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
     """The group of the parameters, and their values."""
-    from fmus.manipulator import MANIPULATOR
-    from fmus.parameters import numbers
-
     shipped = numbers(MANIPULATOR)["parameters"]
     found = {n: shipped[n] for n in SHARED}
     members = _of(ManipulatorParameters, *SHARED)
@@ -305,4 +376,13 @@ def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
         }
         groups[j.name] = make_group("Joint", declared)
         found |= {f"{j.name}_{n}": x for n, x in own.items()}
-    return make_group("Parameters", members, **groups), {"parameters": found, "start": {}}
+    bases: list[type[Group]] = []
+    for j in crane.joints:
+        for name, (n, c) in zip(contacts(j), CONTACTS.items(), strict=True):
+            if name:
+                groups[name] = (c[1], f"{j.name} {c[0]}")
+                found[f"{name}_coulomb"], bases = j.numbers[n], [Dry]
+    if bases:
+        rubbing = numbers(VARIANTS["friction"])["parameters"]
+        found |= {n: rubbing[n.removeprefix("dry_")] for n in quantities(Dry)}
+    return make_group("Parameters", members, *bases, **groups), {"parameters": found, "start": {}}

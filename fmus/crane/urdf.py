@@ -78,11 +78,12 @@ def _joint(j: JointDescription, low: float, high: float) -> str:
     ends = (low, high) if bounded else (-100.0, 100.0)
     limit = f'    <limit lower="{ends[0]:.9g}" upper="{ends[1]:.9g}" effort="0" velocity="0"/>\n'
     mimic = f'    <mimic joint="{j.follows}_joint" multiplier="{j.ratio.value:.17g}"/>\n' if j.follows else ""
-    damping = f'    <dynamics damping="{j["damping"]:.17g}"/>\n'
+    friction = j["coulomb"] if j.kind == "revolute" else 0.0
+    losses = f'    <dynamics damping="{j["damping"]:.17g}" friction="{friction:.17g}"/>\n'
     return (
         f'  <joint name="{j.name}_joint" type="{kind}">\n    <parent link="{j.parent or BASE}"/>\n'
         f'    <child link="{j.name}"/>\n    <origin xyz="{_vector(j[f"at_{n}"] for n in "xyz")}"/>\n'
-        f'    <axis xyz="{axis}"/>\n{"" if kind == "continuous" else limit}{mimic}{damping}  </joint>\n'
+        f'    <axis xyz="{axis}"/>\n{"" if kind == "continuous" else limit}{mimic}{losses}  </joint>\n'
     )
 
 
@@ -203,13 +204,14 @@ def _table(joint: Any, turned: Array, leaders: Mapping[str, str]) -> tuple[dict[
         "axis": name,
         "body": NOTHING,
     }
-    table["damping"] = _number(joint.find("dynamics"), "damping")
+    for n in ("damping", "friction") if kind != "prismatic" else ("damping",):
+        table[n] = _number(joint.find("dynamics"), n)
     if (mimic := joint.find("mimic")) is not None:
         if (leader := leaders.get(mimic.get("joint"))) is None:
             raise Problem(f"expected mimic of a joint that exists, got {mimic.get('joint')}")
         table["follows"] = _word(leader)
         table["ratio"] = _number(mimic, "multiplier", 1.0)
-    for tag, n in (("mimic", "offset"), ("dynamics", "friction")):
+    for tag, n in (("mimic", "offset"), *([("dynamics", "friction")] if kind == "prismatic" else [])):
         if value := _number(joint.find(tag), n):
             left_out.append(f"{tag} {n} {value:g}")
     for tag in ("limit", "safety_controller"):
@@ -272,8 +274,8 @@ def _lines(tables: Mapping[str, Mapping[str, Any]], title: str) -> Iterator[str]
         entries = {"at": table["at"], "mass": body.mass, "centre": body.centre}
         entries |= {
             "inertia": [body.inertia[i // 3, i % 3] for i in (0, 4, 8, 1, 2, 5)],
-            "damping": table["damping"],
         }
+        entries |= {n: table[n] for n in ("damping", "friction") if n in table}
         entries |= {"ratio": table["ratio"]} if "ratio" in table else {}
         yield f"\n[{name}]\n"
         yield from (f"# left out: {text}\n" for text in table["left out"])

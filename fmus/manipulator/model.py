@@ -82,7 +82,7 @@ def _joint(name: str, parent: int, at: Callable[[Any], Vector], lever: float) ->
         drive=drive,
         piston=lambda p: (of(p).stroke, of(p).piston_damping),
         lever=lever,
-        contact=f"{name}_joint",
+        contacts=(f"{name}_joint", f"{name}_piston"),
     )
 
 
@@ -94,7 +94,7 @@ SWING = JointModel(
     motor=True,
     stop=_swing_stop,
     stop_shown="swing_stop_torque",
-    contact="swing",
+    contacts=("swing", ""),
 )
 ARM = (SWING, _joint("boom", 0, boom_pivot, 1.0), _joint("stick", 1, elbow, -1.0))
 

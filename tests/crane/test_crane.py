@@ -17,14 +17,14 @@ from kit.mistakes import problem, table
 from kit.properties import examples
 
 from fmus.components.chain import Payload
-from fmus.contract import nested
+from fmus.contract import Quantity, nested
 from fmus.crane.check import Capacity, capacity, check, lifting_moment
 from fmus.crane.check import table as text_of
 from fmus.crane.description import NEW, new, read
-from fmus.crane.machine import crane_machine
+from fmus.crane.machine import crane_machine, healthy
 from fmus.crane.manipulator import manipulator
 from fmus.manipulator import MANIPULATOR
-from fmus.parameters import values
+from fmus.parameters import Number, values
 from orchestrator import load, run
 from orchestrator.__main__ import main
 from orchestrator.base.errors import Mistakes
@@ -210,7 +210,7 @@ def test_a_passive_joint_without_damping_is_a_warning(tmp_path):
     """A line below the tables, no mistake; the example has none."""
     path = changed(tmp_path, ("damping = 60\n\n[grapple]", "\n[grapple]"))
     (line,) = (line for line in told_of(read(path)).splitlines() if "warning" in line)
-    assert line == f"warning: {path}: [link] passive and without damping: it swings for ever"
+    assert line == f"warning: {path}: [link] passive, without damping and friction: it swings for ever"
 
 
 def test_a_small_lever_is_a_warning_and_the_dead_point_ends_a_run(tmp_path):
@@ -254,6 +254,14 @@ def test_all_that_a_file_does_not_say_is_listed(tmp_path):
     own |= {f"{valve}_pressure" for valve in ("port_relief", "relief", "counterbalance")}
     zero = {n for sub in built.families["drives"].values() for n, x in values(sub).p.items() if not x}
     assert {n for n in rest - own - zero if f" {n} " not in of["drives"]} == set()
+
+
+def test_a_number_that_nobody_gives_is_an_error():
+    """A parameter of a drive has a default in the paper's machine or in its declaration, not 0 in silence."""
+    assert healthy(Quantity("m2", "Opening", value=0.0)) == Number(0.0, "m2", "derived", "healthy")
+    problem(
+        lambda: healthy(Quantity("m", "Length of a new thing")), "Length of a new thing: expected a value"
+    )
 
 
 def test_a_payload_of_the_file_is_held_from_the_start(tmp_path):

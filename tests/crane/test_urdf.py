@@ -132,7 +132,7 @@ def test_rounded_angles_give_the_nearest_axis_and_a_note(tmp_path, written, off)
 
 
 def test_what_a_crane_has_no_key_for_is_told_and_a_comment(tmp_path):
-    """Limits, Coulomb friction, the offset of a coupled joint."""
+    """Limits, dry friction along a telescope, the offset of a coupled joint."""
     source, target = tmp_path / "arm.urdf", tmp_path / "arm.toml"
     more = '<mimic joint="j3" multiplier="2" offset="0.3"/><dynamics damping="3" friction="40"/>'
     source.write_text(FOREIGN.replace("</joint></robot>", f"{more}</joint></robot>"), encoding="utf-8")

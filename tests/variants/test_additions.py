@@ -19,11 +19,13 @@ from fmus.components.additions import (
     PistonLeakage,
     Regeneration,
 )
+from fmus.components.spool_valve import CurvedValve
 from fmus.contract import Subsystem, family, nested
 from fmus.drives.drive import part
 from fmus.drives.lumped import LUMPED
 from fmus.drives.quasistatic import QUASISTATIC
 from fmus.machine.parts import FAMILIES
+from fmus.parameters import numbers
 from fmus.supply import CONSUMERS, supply
 from orchestrator.base.errors import Problem
 
@@ -176,3 +178,24 @@ def test_an_accumulator_at_the_supply(variant):
         drop, shown = state[at_work.at("supply_pressure")] - state[gas], at_work(state, **given)[1]
         assert shown["throttle_heat"] == pytest.approx(1e-8 * drop**2, rel=1e-12)
         assert shown["accumulator_pressure"] == state[gas]
+
+
+class Progressive(CurvedValve):
+    """A valve whose edges open with the square of the command beyond the dead band."""
+
+    def openings(self, command):
+        """Openings by edge."""
+        return {edge: opening**2 for edge, opening in super().openings(command).items()}
+
+
+def test_a_drive_with_another_valve_is_one_class():
+    """At half of the travel its edges have a quarter of the area, not a half: half of the flow."""
+    usual = FAMILIES["boom_stick"]["quasistatic"]
+    own = part("drive", boom_stick.AXES, replace(QUASISTATIC, valve=Progressive), text="-", validity="-")
+    of, other = Part(usual), Part(replace(own, numbers=numbers(usual)))
+    foot = of.p["valve_dead_band"] + of.p["valve_command_rounding"] / 2
+    half = (of.p["valve_full_command"] + foot) / 2
+    small, line = (o(o.start(), boom_command=half)[1]["boom_head_flow"] for o in (other, of))
+    # the friction of the hose, which is in series, takes more of the larger flow
+    assert small / line == pytest.approx(0.5, rel=0.1)
+    assert small < 0.6 * line
