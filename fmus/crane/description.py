@@ -445,12 +445,12 @@ def _joint(
     if "stiffness" in given and (drive != "none" or follows):
         reader.wrong(name, f"stiffness: expected none of a joint with a drive, got {given['stiffness']!r}")
     reader.unknown(name, given, (*BODY, *WORDS, *USED[drive]))
-    own = {"damping": damping, "stiffness": stiffness}
+    of_joint = {"damping": damping, "stiffness": stiffness}
     if rotational:
-        own["friction"] = Key("N.m", ("coulomb",), 0.0, 0.0)
+        of_joint["friction"] = Key("N.m", ("coulomb",), 0.0, 0.0)
     elif "friction" in given:
         reader.wrong(name, "friction: expected none of a prismatic joint: its cylinder has one")
-    numbers = reader.numbers(name, given, {**BODY, **own})
+    numbers = reader.numbers(name, given, {**BODY, **of_joint})
     if "stop" in given:
         if follows or drive in ("cylinder", "four-bar"):
             reader.wrong(name, "stop: expected none of a joint that follows another one or has a cylinder")

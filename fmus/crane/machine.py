@@ -309,8 +309,13 @@ def build_crane(
         subs, folders, STEP, STOP, platforms, {s.name: VARIANTS for s in others}, progress=progress
     )
     flows = ssp.section_flows(machine, machine.controller, machine.diagnosis)
-    own = ssp.Plan(STOP, {ssp.COMPENSATED: flows})
-    plans = {"": ssp.Plan(STOP), ssp.ACTUATED: ssp.Plan(STOP), ssp.CONTROLLED: own, ssp.SENSED: own}
+    own = ssp.SystemPlan(STOP, {ssp.COMPENSATED: flows})
+    plans = {
+        "": ssp.SystemPlan(STOP),
+        ssp.ACTUATED: ssp.SystemPlan(STOP),
+        ssp.CONTROLLED: own,
+        ssp.SENSED: own,
+    }
     paths, files_of = list[Path](), {**page_files(crane), SOURCE: crane.file.read_bytes()}
     for fmi, files in built.items():
         fmus = dict(zip((s.name for s in subs), files, strict=True))

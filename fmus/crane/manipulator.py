@@ -367,7 +367,7 @@ def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
             name = f"initial_{j.coordinate}"
             found[name] = j.start
             members[name] = Quantity(j.start.unit, f"{j.coordinate} at the start", group="Start pose")
-    groups = {}
+    groups = dict[str, Any]()
     for j in crane.joints:
         own = numbers_of(j)
         declared = {

@@ -47,7 +47,7 @@ WINTER, WINTER_GRADE = "winter_oil", {"oil_viscosity_40": 46e-6, "oil_viscosity_
 
 
 @dataclass(frozen=True)
-class Plan:
+class SystemPlan:
     """What the systems of a kind are besides their components: stop time [s], parameter sets, those bound."""
 
     stop: float
@@ -80,7 +80,7 @@ def write_systems(
     folder: Path,
     fmus: Mapping[str, Path],
     step: float,
-    plans: Mapping[str, Plan],
+    plans: Mapping[str, SystemPlan],
     resources: Mapping[str, bytes],
 ) -> list[Path]:
     """Write the systems to `folder` of which all components have an FMU.
@@ -111,19 +111,19 @@ def write_systems(
     return found
 
 
-def harvester_plans(machine: Machine, manipulator: Subsystem, boom_stick: Subsystem) -> dict[str, Plan]:
+def harvester_plans(machine: Machine, manipulator: Subsystem, boom_stick: Subsystem) -> dict[str, SystemPlan]:
     """Of the harvester's systems; poses and start values are calculated for these parts."""
     poses = controlled_poses(manipulator).items()
     own = {name: controller_set(pose, manipulator, boom_stick) for name, pose in poses}
     own |= {WINTER: winter_oil()}
     flows = {COMPENSATED: section_flows(machine, machine.controller)}
     told = {COMPENSATED: section_flows(machine, machine.controller, machine.diagnosis)}
-    operated = Plan(WORK_CYCLE_STOP, parameter_sets(manipulator), (NOMINAL, DEFAULT))
+    operated = SystemPlan(WORK_CYCLE_STOP, parameter_sets(manipulator), (NOMINAL, DEFAULT))
     return {
         "": operated,
         ACTUATED: operated,
-        CONTROLLED: Plan(CONTROL_STOP, own | flows, (NOMINAL,)),
-        SENSED: Plan(CONTROL_STOP, own | told, (NOMINAL,)),
+        CONTROLLED: SystemPlan(CONTROL_STOP, own | flows, (NOMINAL,)),
+        SENSED: SystemPlan(CONTROL_STOP, own | told, (NOMINAL,)),
     }
 
 
