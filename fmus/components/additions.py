@@ -168,6 +168,14 @@ class Cushion(Addition):
         return replace(branch, drop=branch.drop + taken, series={Kind.THROTTLE: taken})
 
 
+class CushionWithoutColumn(Cushion):
+    """Of a drive whose lines have no oil column: it does nothing, and its heat is 0."""
+
+    def added(self, at: Place) -> Circuit:
+        """A throttle without flow, so that the drive has the outputs of one with a cushion."""
+        return Circuit({}, {at.name: Branch("head_pressure", "rod_pressure", Kind.THROTTLE, 0.0)})
+
+
 class Regeneration(Addition):
     """An edge with a check valve from the rod side to the head side, which a positive command opens."""
 

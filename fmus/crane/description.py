@@ -17,7 +17,9 @@ from typing import Any, Literal, TypeAlias, cast, get_args
 import numpy as np
 
 from fmus.boom_stick import BOOM_STICK
+from fmus.components.additions import Accumulator, Addition, ChamberReliefs, Cushion, Regeneration
 from fmus.components.chain import Axis
+from fmus.contract import quantities
 from fmus.parameters import SOURCES, Number
 from fmus.parameters import numbers as numbers_of
 from orchestrator.base import toml
@@ -126,6 +128,27 @@ TABLES: Mapping[str, Mapping[str, Key]] = {
         "return": Key("Pa", ("reservoir_pressure",), 0.0, 0.0, 1e7),
     },
 }
+# tables of a joint with a cylinder, and of the supply: components in addition; keys are their quantities
+ADDITIONS: Mapping[str, type[Addition]] = {
+    "cushion": Cushion,
+    "reliefs": ChamberReliefs,
+    "regeneration": Regeneration,
+}
+OF_SUPPLY: Mapping[str, type[Addition]] = {"accumulator": Accumulator}
+
+
+def keys_of(table: str, addition: type[Addition]) -> dict[str, Key]:
+    """Keys of the table of an addition."""
+    found = dict[str, Key]()
+    for n, q in quantities(addition).items():
+        low, high = (
+            -math.inf if q.minimum is None else q.minimum,
+            math.inf if q.maximum is None else q.maximum,
+        )
+        found[n] = Key(q.unit, (f"{table}_{n}",), q.value, low, high)
+    return found
+
+
 # of a data sheet; `check` compares
 DATASHEET = {
     "lifting_moment": Key("N.m", ("lifting_moment",), 0.0, 0.0),
@@ -133,7 +156,7 @@ DATASHEET = {
 }
 WORDS = (
     *("joint", "axis", "parent", "drive", "follows", "ratio", "inertia", "damping", "friction", "stiffness"),
-    *("stop", "shape", "source", "note"),
+    *("stop", *ADDITIONS, "shape", "source", "note"),
 )
 TEXTS = ("title", "source", "note")
 WORD, PART = "[a-z][a-z0-9]*", "[a-z][a-z0-9_]*"
@@ -174,6 +197,7 @@ class JointDescription:
     part       of the machine that has its hydraulics
     numbers    its parameters, without the name of the joint
     shape      mesh of its link, binary glTF; None: the page draws beams
+    additions  names of the components in addition that its cylinder has
     """
 
     name: str
@@ -188,6 +212,7 @@ class JointDescription:
     assembly: Assembly = "above"
     part: str = ""
     shape: Path | None = None
+    additions: tuple[str, ...] = ()
 
     @property
     def coordinate(self) -> str:
@@ -316,6 +341,14 @@ class _Reader:
                 found[n] = Number(x, rule.unit, source, note)
         return found
 
+    def addition(self, where: str, value: Any, keys: Mapping[str, Key]) -> dict[str, Number]:
+        """The parameters of a table that may be missing; none after a mistake."""
+        if not isinstance(value, dict):
+            self.tables(where, value)
+            return {}
+        self.unknown(where, value, keys)
+        return self.numbers(where, value, keys)
+
     def _entries(self, table: str, key: str, value: Any, rule: Key) -> list[float]:
         size = len(rule.names)
         shape = f"a list of {size} numbers in {rule.unit}" if size > 1 else f"a number in {rule.unit}"
@@ -354,10 +387,12 @@ def read(path: Path, data: bytes | None = None) -> CraneDescription:
     given_tables = {*content}
     tables = {n: reader.tables(n, content.pop(n, {})) for n in TABLES}
     numbers = {n: reader.numbers(n, given, TABLES[n]) for n, given in tables.items()}
+    for n in (n for n in OF_SUPPLY if n in tables["supply"]):
+        numbers["supply"] |= reader.addition(f"supply.{n}", tables["supply"][n], keys_of(n, OF_SUPPLY[n]))
     if "ground" not in given_tables:
         numbers["ground"] = {}
     for n, given in tables.items():
-        reader.unknown(n, given, (*TABLES[n], *(("on", "along") if n == "payload" else ())))
+        reader.unknown(n, given, (*TABLES[n], *{"payload": ("on", "along"), "supply": OF_SUPPLY}.get(n, ())))
     names = [n for n, given in content.items() if isinstance(given, dict)]
     tops = (*TEXTS, *TABLES, "start", "datasheet")
     reader.unknown("", {n: x for n, x in content.items() if n not in names}, tops)
@@ -456,6 +491,11 @@ def _joint(
             reader.wrong(name, "stop: expected none of a joint that follows another one or has a cylinder")
         numbers |= _stop(reader, name, given["stop"], rotational)
     numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
+    additions = tuple(n for n in ADDITIONS if n in given)
+    for n in additions:
+        if drive not in ("cylinder", "four-bar"):
+            reader.wrong(name, f"{n}: expected a joint with a cylinder, got drive {drive!r}")
+        numbers |= reader.addition(f"{name}.{n}", given[n], keys_of(n, ADDITIONS[n]))
     part, assembly = "drives", "above"
     for table in USED[drive]:
         where, inner = f"{name}.{table}", reader.tables(f"{name}.{table}", given.get(table, {}))
@@ -503,21 +543,19 @@ def _joint(
         part=part,
         assembly=cast(Assembly, assembly),
         shape=_shape(reader, name, given.get("shape")),
+        additions=additions,
     )
 
 
 def _stop(reader: _Reader, name: str, value: Any, rotational: bool) -> dict[str, Number]:
     """End stops on both sides of a joint; their defaults are those of the paper's column."""
-    where, unit = f"{name}.stop", "rad" if rotational else "m"
+    unit = "rad" if rotational else "m"
     keys = {
         "at": Key(unit, ("stop_at",), None, 1e-3, TURN if rotational else LARGEST_LENGTH),
         "stiffness": Key("N.m/rad" if rotational else "N/m", ("stop_stiffness",), 3e6, 1.0),
         "damping": Key(f"s/{unit}", ("stop_damping",), 0.5, 0.0),
     }
-    if not (given := reader.tables(where, value)):
-        return {}
-    reader.unknown(where, given, keys)
-    return reader.numbers(where, given, keys)
+    return reader.addition(f"{name}.stop", value, keys)
 
 
 def _shape(reader: _Reader, name: str, value: Any) -> Path | None:

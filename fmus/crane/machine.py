@@ -17,13 +17,14 @@ from typing import Any
 
 from fmus import boom_stick, ports, swing
 from fmus import supply as supplies
+from fmus.components.additions import CushionWithoutColumn
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
 from fmus.contract import Quantity, Subsystem, family, make_group, nested, quantities
 from fmus.controller.paths import Pose
 from fmus.crane.check import outputs_at_start
 from fmus.crane.controller import controlled, controller, hanging_sway, start_pose
-from fmus.crane.description import NEW, CraneDescription, JointDescription, read
+from fmus.crane.description import ADDITIONS, NEW, OF_SUPPLY, CraneDescription, JointDescription, read
 from fmus.crane.manipulator import NAME, Dry, manipulator
 from fmus.crane.view import page_files
 from fmus.diagnosis import diagnosis
@@ -72,6 +73,7 @@ FIDELITIES: Mapping[str, tuple[Fidelity, str, str]] = {
         "motions below about 10 Hz; no spool dynamics",
     ),
 }
+OIL_COLUMNS = ("lumped", "detailed")  # whose lines a cushion needs
 RENAMED = {"line_length": "hose_length", "line_bore": "hose_bore"}  # lines of a motor
 STEP, STOP = 1e-3, 20.0  # communication step and stop time of the system [s]
 FIRST, APART = 1.0, 2.5  # s: begin of the first stroke of the program, and between two joints
@@ -94,7 +96,10 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
         made = {v: drives(crane, name, joints, pose, v, faults) for v in FIDELITIES}
         of_part, names_of = family(name, **made), [j.name for j in joints]
         parts = {name: {v: faulty(s, names_of) if faults else s for v, s in of_part.items()}, **parts}
-    supplies = {v: with_pressures(sub, crane) for v, sub in supply(names).items()}
+    added = {
+        n: a for n, a in OF_SUPPLY.items() if f"{n}_{next(iter(quantities(a)))}" in crane.numbers["supply"]
+    }
+    supplies = {v: with_pressures(sub, crane) for v, sub in supply(names, additions=added).items()}
     supplies = {v: faulty(sub) if faults else sub for v, sub in supplies.items()}
     machine = Machine(parts=parts, supplies={"supply": supplies}, operator=_operator(crane))
     try:
@@ -145,15 +150,16 @@ def drives(
     faults: bool = False,
 ) -> Subsystem:
     """The hydraulics of some joints."""
-    axes = [
-        Axis(j.name, MOTOR, motor.HeldInputs, own_valve=True, additions=MOTOR_ADDITIONS if faults else ())
-        if j.drive == "motor"
-        else Axis(
-            j.name, CYLINDER, cylinder.Inputs, own_valve=True, additions=CYLINDER_ADDITIONS if faults else ()
-        )
-        for j in joints
-    ]
+    axes = list[Axis]()
+    for j in joints:
+        kinds = (MOTOR, motor.HeldInputs) if j.drive == "motor" else (CYLINDER, cylinder.Inputs)
+        added = (MOTOR_ADDITIONS if j.drive == "motor" else CYLINDER_ADDITIONS) if faults else ()
+        known = {**ADDITIONS, **({} if variant in OIL_COLUMNS else {"cushion": CushionWithoutColumn})}
+        own = [(n, known[n]) for n in j.additions]
+        axes.append(Axis(j.name, *kinds, own_valve=True, additions=(*added, *own)))
     of, (fidelity, text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
+    if variant not in OIL_COLUMNS and any("cushion" in j.additions for j in joints):
+        validity += "; no cushions"
     make = partial(part, name, axes, text=f"Hydraulic drives of {of}: {text}", validity=validity)
     sub = make(fidelity)
     of_swing, of_arm = swing.VARIANTS[variant], boom_stick.VARIANTS[variant]

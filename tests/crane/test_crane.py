@@ -17,7 +17,7 @@ from kit.mistakes import problem, table
 from kit.properties import examples
 
 from fmus.components.chain import Payload
-from fmus.contract import Quantity, nested
+from fmus.contract import Quantity, nested, quantities
 from fmus.crane.check import Capacity, capacity, check, lifting_moment
 from fmus.crane.check import table as text_of
 from fmus.crane.description import NEW, new, read
@@ -254,6 +254,28 @@ def test_all_that_a_file_does_not_say_is_listed(tmp_path):
     own |= {f"{valve}_pressure" for valve in ("port_relief", "relief", "counterbalance")}
     zero = {n for sub in built.families["drives"].values() for n, x in values(sub).p.items() if not x}
     assert {n for n in rest - own - zero if f" {n} " not in of["drives"]} == set()
+
+
+ADDED = """[boom]
+cushion = { length = "40 mm", resistance = 2e12 }
+reliefs = { pressure = "280 bar", gain = 1e-9 }
+regeneration = { area = "20 mm2" }
+"""
+
+
+def test_components_in_addition_have_keys(tmp_path):
+    """Of a cylinder and of the supply; a cushion in the drives whose lines have oil columns."""
+    gas = '[supply]\naccumulator = { volume = "5 L", precharge = "90 bar", conductance = 1e-9 }'
+    built = crane_machine(read(changed(tmp_path, ("[boom]\n", ADDED), ("[supply]", gas))))
+    drives = {v: values(sub).p for v, sub in built.families["drives"].items()}
+    shown = ("cushion_length", "reliefs_pressure", "regeneration_area", "regeneration_command")
+    assert [drives["detailed"][f"boom_{n}"] for n in shown] == pytest.approx([0.04, 2.8e7, 2e-5, 1.0])
+    told = {v for v, sub in built.families["drives"].items() if "no cushions" in sub.validity}
+    assert told == {"quasistatic", "compensated"}
+    assert all("boom_reliefs_gain" in p and "jib_reliefs_gain" not in p for p in drives.values())
+    sensing = built.families["supply"]["load_sensing"]
+    assert values(sensing).p["accumulator_volume"] == 5e-3
+    assert "accumulator_pressure" in quantities(sensing.outputs)
 
 
 def test_a_number_that_nobody_gives_is_an_error():
