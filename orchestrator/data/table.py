@@ -293,14 +293,17 @@ class _Text:
         few = islice(self.rows.items(), skip_rows or MOST_HEADINGS)
         rows = [(number, [cell.strip() for cell in self.cells(row)]) for number, row in few][:skip_rows]
         below = dict(rows if skip_rows is not None else takewhile(lambda row: _is_heading(row[1]), rows))
+        behind = rows[len(below) : len(below) + 2]
+        if below and len(behind) == 2 and _are_channels(*(row for _, row in behind)):
+            below |= behind[:1]
         for number in below:
             del self.rows[number]
-        if numbers := sum(not _is_heading(row) for row in below.values()):
+        if numbers := sum(not _is_heading(row) for row in below.values()) * (skip_rows is not None):
             tell_once(f"{self.file}: {numbers} rows of numbers are left out, as skip_rows = {skip_rows}")
         if skip_rows is not None:
             below = {}
         units = next(filter(_are_units, below.values()), [])
-        texts = {number: row for number, row in below.items() if not _are_units(row)}
+        texts = {number: row for number, row in below.items() if row is not units}
         found, names = ["a row of units"] if units else [], self.names
         if texts and len({*names}) < len(names):
             parts = zip_longest((split_unit(name)[0] for name in names), *texts.values(), fillvalue="")
@@ -527,6 +530,16 @@ def _lines_above(text: str) -> int:
     with_clock = [k for k in plain if any(map(CLOCK.match, rows[k]))]
     over_units = [k for k in plain if k < last and _are_units(rows[k + 1])]
     return (with_clock or over_units or plain[-1:])[0]
+
+
+def _are_channels(row: Sequence[str], following: Sequence[str]) -> bool:
+    """Whether a row has the numbers of channels, in turn, and no time, or one after that of the next row."""
+    cells = [cell for cell in row if cell]
+    if len(cells) < 2 or not all(map(str.isdecimal, cells)) or not any(following):
+        return False
+    numbers, later = [*map(int, cells)], _number(following[0].replace(",", "."))
+    in_turn = numbers == [*range(numbers[0], numbers[0] + len(cells))]
+    return in_turn and (not row[0] or (later is not None and later < numbers[0]))
 
 
 def _are_units(row: Sequence[str]) -> bool:

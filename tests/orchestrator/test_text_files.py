@@ -250,6 +250,16 @@ def test_a_column_in_another_unit_drives_its_input(fmus: Workshop, log):
     problem(lambda: run(system, path), r"log.csv: column 'u': expected a unit like bar, got 'V'")
 
 
+@pytest.mark.parametrize("channels", ["1;2;3", ";1;2", "7;8;9"])
+def test_numbers_of_channels_below_the_units_are_no_samples(channels, log, capsys):
+    """Numbers in turn, without a time or with one behind that of the next row; others are samples."""
+    path = log(f"Zeit;P;U\ns;bar;V\n{channels}\n0,0;1,5;3\n0,1;2,5;3\n")
+    assert read_trace(path)["P"].tolist() == [1.5e5, 2.5e5]
+    assert "line 3 left out" in capsys.readouterr().err
+    plain = log("Zeit;P;U\ns;bar;V\n0;1;2\n1;2;3\n2;3;4\n")
+    assert read_trace(plain)["P"].tolist() == [1e5, 2e5, 3e5]
+
+
 def test_a_decimal_comma_may_come_late(log):
     """The first comma decides, however late it comes."""
     rows = "".join(f"{k};{k % 5}\n" for k in range(60))
