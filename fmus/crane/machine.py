@@ -152,11 +152,12 @@ def drives(
     """The hydraulics of some joints."""
     axes = list[Axis]()
     for j in joints:
-        kinds = (MOTOR, motor.HeldInputs) if j.drive == "motor" else (CYLINDER, cylinder.Inputs)
-        added = (MOTOR_ADDITIONS if j.drive == "motor" else CYLINDER_ADDITIONS) if faults else ()
+        is_motor = j.drive == "motor"
+        kind, moved = (MOTOR, motor.HeldInputs) if is_motor else (CYLINDER, cylinder.Inputs)
+        added = (MOTOR_ADDITIONS if is_motor else CYLINDER_ADDITIONS) if faults else ()
         known = {**ADDITIONS, **({} if variant in OIL_COLUMNS else {"cushion": CushionWithoutColumn})}
         own = [(n, known[n]) for n in j.additions]
-        axes.append(Axis(j.name, *kinds, own_valve=True, additions=(*added, *own)))
+        axes.append(Axis(j.name, kind, moved, own_valve=True, additions=(*added, *own)))
     of, (fidelity, text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
     if variant not in OIL_COLUMNS and any("cushion" in j.additions for j in joints):
         validity += "; no cushions"
