@@ -36,7 +36,7 @@ from fmus.components.cylinder import Stop
 from fmus.components.friction import Resistance, viscous
 from fmus.components.linkage import Cylinder, Drive, FourBar, Transmission
 from fmus.components.mechanics import EquationsOfMotion, equations_of_motion, reach
-from fmus.contract import Scalar, Subsystem, column, flat, nested, quantities
+from fmus.contract import Scalar, column, flat, nested, quantities
 
 SLIDING = 0.01  # m/s, over which the friction on the ground is rounded
 HIGH = 1e4  # m above the ground, where no stop is
@@ -383,8 +383,8 @@ class Mechanics:
                     levers[f"{j.coordinate} keeps {what} (J {sign} 0)"] = j.lever * t.arm
         return found | levers | dict(self.limits(x, p))
 
-    def subsystem(self, **declared: Any) -> Subsystem:
-        """The subsystem with these functions; declared: its other fields."""
-        groups = {n: getattr(self, n) for n in ("parameters", "states", "inputs", "outputs")}
-        of = {n: getattr(self, n) for n in ("dynamics", "observe", "initial", "require")}
-        return Subsystem(**groups, **of, **declared, model=self)
+    @property
+    def declared(self) -> dict[str, Any]:
+        """Groups and functions of the subsystem, as fields of `Subsystem`."""
+        names = ("parameters", "states", "inputs", "outputs", "dynamics", "observe", "initial", "require")
+        return {n: getattr(self, n) for n in names} | {"model": self}

@@ -387,6 +387,8 @@ def _doubts(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str
         rubs = j["damping"] or any(contacts(j))
         if j.drive == "none" and not j.follows and not rubs:
             yield f"[{j.name}] passive, without damping and friction: it swings for ever"
+        if "cushion" in j.additions:
+            yield f"[{j.name}] cushion: not in quasistatic and compensated drives, which have no oil columns"
     for a in found:
         if a.levers[0] < SMALL_LEVER * a.levers[1]:
             least, largest = (1e3 * x for x in a.levers)

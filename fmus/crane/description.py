@@ -20,6 +20,7 @@ from fmus.boom_stick import BOOM_STICK
 from fmus.components.additions import Accumulator, Addition, ChamberReliefs, Cushion, Regeneration
 from fmus.components.chain import Axis
 from fmus.contract import quantities
+from fmus.manipulator import MANIPULATOR
 from fmus.parameters import SOURCES, Number
 from fmus.parameters import numbers as numbers_of
 from orchestrator.base import toml
@@ -548,12 +549,16 @@ def _joint(
 
 
 def _stop(reader: _Reader, name: str, value: Any, rotational: bool) -> dict[str, Number]:
-    """End stops on both sides of a joint; their defaults are those of the paper's column."""
+    """End stops on both sides of a joint; the defaults of a revolute one are those of the paper's column."""
+    column = numbers_of(MANIPULATOR)["parameters"]
+    stiffness, damping = (
+        column[f"swing_stop_{n}"].value if rotational else None for n in ("stiffness", "damping")
+    )
     unit = "rad" if rotational else "m"
     keys = {
         "at": Key(unit, ("stop_at",), None, 1e-3, TURN if rotational else LARGEST_LENGTH),
-        "stiffness": Key("N.m/rad" if rotational else "N/m", ("stop_stiffness",), 3e6, 1.0),
-        "damping": Key(f"s/{unit}", ("stop_damping",), 0.5, 0.0),
+        "stiffness": Key("N.m/rad" if rotational else "N/m", ("stop_stiffness",), stiffness, 1.0),
+        "damping": Key(f"s/{unit}", ("stop_damping",), damping, 0.0),
     }
     return reader.addition(f"{name}.stop", value, keys)
 

@@ -169,9 +169,7 @@ def drives(
     sized = {j.name: {**j.numbers, **_sized(crane, j, common, pose)} for j in joints}
     declared, found = quantities(sub.parameters), dict[str, Number]()
     names = nested(sub.parameters, {n: n for n in declared})
-    for (
-        j
-    ) in joints:  # a default is the number at the same place in the paper's swing or boom, or in their valve
+    for j in joints:  # default: the number at the same place in the paper's swing or boom, or in their valve
         shipped, axis = (of_swing, swing.AXES) if j.drive == "motor" else (of_arm, boom_stick.AXES)
         known = nested(shipped.parameters, numbers(shipped)["parameters"])
         like = vars(getattr(known, axis[0].name)) | {n: getattr(known, n) for n in fidelity.of_valve("")}
@@ -315,14 +313,10 @@ def build_crane(
     built = build_all(
         subs, folders, STEP, STOP, platforms, {s.name: VARIANTS for s in others}, progress=progress
     )
-    flows = ssp.section_flows(machine, machine.controller, machine.diagnosis)
-    own = ssp.SystemPlan(STOP, {ssp.COMPENSATED: flows})
-    plans = {
-        "": ssp.SystemPlan(STOP),
-        ssp.ACTUATED: ssp.SystemPlan(STOP),
-        ssp.CONTROLLED: own,
-        ssp.SENSED: own,
-    }
+    flows, told = (ssp.section_flows(machine, machine.controller, d) for d in (None, machine.diagnosis))
+    plans = dict.fromkeys(("", ssp.ACTUATED), ssp.SystemPlan(STOP))
+    plans[ssp.CONTROLLED] = ssp.SystemPlan(STOP, {ssp.COMPENSATED: flows})
+    plans[ssp.SENSED] = ssp.SystemPlan(STOP, {ssp.COMPENSATED: told})
     paths, files_of = list[Path](), {**page_files(crane), SOURCE: crane.file.read_bytes()}
     for fmi, files in built.items():
         fmus = dict(zip((s.name for s in subs), files, strict=True))

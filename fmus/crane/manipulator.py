@@ -33,6 +33,7 @@ from fmus.manipulator.friction import (
     PistonLaw,
     resist,
 )
+from fmus.manipulator.pendulum import STOP_ROUNDING
 from fmus.manipulator.variables import (
     CylinderInputs,
     CylinderOutputs,
@@ -44,7 +45,6 @@ from fmus.manipulator.variables import (
 from fmus.parameters import Number, Tables, numbers
 
 NAME = "manipulator"
-STOP_ROUNDING = 0.01  # rad or m, smoothing of the effort of the end stops of joints
 TIP_FORCE = {
     f"tip_force_{n}": Quantity("N", f"External force on the tip, {text}", 1e3)
     for n, text in (("x", "forward"), ("y", "to the left"), ("z", "upwards"))
@@ -335,7 +335,8 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         *(ports.rod(j.name, drives=False) for j in pistons),
         ports.grip(),
     )
-    return of.subsystem(
+    return Subsystem(
+        **of.declared,
         name=NAME,
         text=f"Crane: {crane.title}",
         validity=f"rigid links, {'dry' if rubbing else 'viscous'} friction",

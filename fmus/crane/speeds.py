@@ -2,7 +2,7 @@
 
 One axis moves at a time, with the lever J, the inertia M and the weight G that it has in the start pose,
 
-    M w' = J F - (b + J^2 R) w - G
+    M w' = J F - (b + J^2 R) w - (T_c + |J| F_c) sign(w) - G         T_c, F_c: dry friction at fast slip
 
 and the drive and its supply are integrated until they are steady. The speed is the mean of the last half,
 because a counterbalance valve may keep an axis swinging.
@@ -27,6 +27,7 @@ from fmus.monolith import Monolith, join
 from fmus.supply import supply
 
 STEADY, FULL = 10.0, 10.0  # s, V
+SLIDING = 1e-3  # rad/s or m/s, over which the sign of dry friction is rounded: below any speed that is shown
 OPTIONS = {"reltol": 1e-5, "abstol": 1e-6, "max_num_steps": 100_000, "show_eval_warnings": False}
 
 
@@ -52,14 +53,17 @@ def _steady(model: Monolith, a: AxisCheck, pose: Mapping[str, float], sign: floa
     """Speed of the joint, and of the oil in its hoses, at full command of a sign."""
     name, motor = a.joint.name, a.joint.drive == "motor"
     effort, motion = ("torque", "speed") if motor else ("force", "velocity")
-    friction = a.joint["damping"] + (0.0 if motor else a.lever**2 * a.joint["piston_damping"])
+    viscous = a.joint["damping"] + (0.0 if motor else a.lever**2 * a.joint["piston_damping"])
     x, w = ca.SX.sym("x", len(model.states)), ca.SX.sym("w")
     given: dict[str, Any] = dict(zip(model.inputs, map(float, model.u), strict=True))
     given |= {f"{name}_command": sign * FULL, f"{name}_{motion}": a.lever * w}
     u = column(*given.values())
     y = dict(zip(model.output_names, ca.vertsplit(model.outputs(x, u, model.p)), strict=True))
     own = f"{a.joint.part}.{name}_"
-    torque = a.lever * (y[own + effort] - pose[f"{name}_holding_{effort}"]) - friction * w
+    dry = 0.0 if a.joint.kind == "prismatic" else a.joint["coulomb"]
+    dry += 0.0 if motor else abs(a.lever) * a.joint["piston_coulomb"]
+    friction = viscous * w + dry * ca.tanh(w / SLIDING)
+    torque = a.lever * (y[own + effort] - pose[f"{name}_holding_{effort}"]) - friction
     rates = column(model.right_hand_side(x, u, model.p), torque / a.inertia, w)
     of = ca.Function("of", [x, w], [rates, y[own + "oil_velocity"]])
     nominal, z = np.append(model.nominal, [1, 1]), ca.SX.sym("z", len(model.states) + 2)

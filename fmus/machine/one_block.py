@@ -5,7 +5,6 @@ Inputs are commands, supply and payload. Only differences from the declarations 
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from fmus.composition import compose
 from fmus.contract import Subsystem, quantities
@@ -33,12 +32,17 @@ def hidden(machine: Machine) -> list[str]:
 
 
 def one_block(
-    machine: Machine, parts: Mapping[str, Subsystem], levers: Sequence[str], **declared: Any
+    machine: Machine,
+    parts: Mapping[str, Subsystem],
+    levers: Sequence[str],
+    name: str,
+    text: str,
+    folder: Path | None = None,
+    texts: Mapping[str, str] | None = None,
 ) -> Subsystem:
-    """The machine composed of these variants of its parts.
+    """The machine composed of these variants of its parts; the rest is as in `compose`.
 
-    levers     axes with a command
-    declared   name, text and others of `compose`
+    levers   axes with a command
     """
     return compose(
         subsystems=parts,
@@ -47,7 +51,10 @@ def one_block(
         hidden=hidden(machine),
         totals=TOTALS,
         terminals=(*map(lever, levers), grip(), supply_line(), return_line()),
-        **declared,
+        name=name,
+        text=text,
+        folder=folder,
+        texts=texts,
     )
 
 

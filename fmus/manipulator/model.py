@@ -16,7 +16,8 @@ and knives hold the stem there; the moment of inertia is that of the empty head.
 The same equations by hand, in NumPy: tests/equations/transcription.py.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +142,24 @@ def views(of: Mechanics, q: ca.SX, w: ca.SX, x: Any, p: Any) -> dict[str, Scalar
     }
 
 
+def _no_limits(*_: Any) -> dict[str, Scalar]:
+    return {}
+
+
+@dataclass(frozen=True)
+class Head:
+    """What is at the tip: its joints, and payload, views, turn and limits of `Mechanics` with it."""
+
+    joints: tuple[JointModel, ...] = ()
+    payload: Callable[[Scalar, Any], Payload] = head
+    views: Callable[..., Mapping[str, Scalar]] = views
+    turn: Sequence[Sequence[float]] | None = None
+    limits: Callable[[Any, Any], Mapping[str, Scalar]] = _no_limits
+
+
+POINT_MASS = Head()
+
+
 def manipulator(
     *,
     text: str,
@@ -149,17 +168,24 @@ def manipulator(
     states: type[Any] = ManipulatorState,
     outputs: type[Any] = ManipulatorOutputs,
     dry: Friction | None = None,
-    hanging: tuple[JointModel, ...] = (),
-    **head_of: Any,
+    at_tip: Head = POINT_MASS,
 ) -> Subsystem:
-    """The subsystem with a law of dry friction, and with the joints of a hanging head.
-
-    head_of   payload, views, turn and limits of `Mechanics` with that head
-    """
-    groups = (parameters, states, ManipulatorInputs, outputs)
-    of_arm: dict[str, Any] = {"payload": head, "views": views}
-    model = Mechanics((*ARM, *hanging), *groups, gravity, dry=dry, **of_arm | head_of)
-    return model.subsystem(
+    """The subsystem with a law of dry friction and a head."""
+    model = Mechanics(
+        joints=(*ARM, *at_tip.joints),
+        parameters=parameters,
+        states=states,
+        inputs=ManipulatorInputs,
+        outputs=outputs,
+        gravity=gravity,
+        payload=at_tip.payload,
+        views=at_tip.views,
+        turn=at_tip.turn,
+        dry=dry,
+        limits=at_tip.limits,
+    )
+    return Subsystem(
+        **model.declared,
         name="manipulator",
         text=text,
         validity=validity,

@@ -34,7 +34,7 @@ from fmus.components.chain import Link, Payload
 from fmus.contract import Quantity, Scalar
 from fmus.joints import JointModel, Mechanics
 from fmus.manipulator.friction import FrictionOutputs, FrictionParameters, FrictionState, resist
-from fmus.manipulator.model import manipulator
+from fmus.manipulator.model import Head, manipulator
 from fmus.manipulator.model import views as of_arm
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
@@ -139,20 +139,14 @@ def limits(x: Any, p: Any) -> dict[str, Scalar]:
     return {requirement: SIDE_LIMIT - ca.fabs(x.head_side_angle)}
 
 
-HANGING: dict[str, Any] = {
-    "hanging": (HEAD, YOKE),
-    "payload": head,
-    "views": views,
-    "turn": TURN,
-    "limits": limits,
-}
+HANGING = Head((HEAD, YOKE), head, views, TURN, limits)
 PENDULUM = manipulator(
     text="Swing column, boom, stick and a processing head that swings in a Hooke joint",
     validity="rigid slender links, viscous friction; head within 80 degrees of the arm's plane",
     parameters=PendulumParameters,
     states=PendulumState,
     outputs=PendulumOutputs,
-    **HANGING,
+    at_tip=HANGING,
 )
 
 
@@ -182,5 +176,5 @@ PENDULUM_FRICTION = manipulator(
     states=PendulumFrictionState,
     outputs=PendulumFrictionOutputs,
     dry=resist,
-    **HANGING,
+    at_tip=HANGING,
 )

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from fmus.components.chain import Link, Payload
 from fmus.components.friction import Resistance
-from fmus.contract import Group, Quantity, Scalar, quantities
+from fmus.contract import Group, Quantity, Scalar, Subsystem, quantities
 from fmus.crane.description import read
 from fmus.crane.manipulator import manipulator
 from fmus.joints import JointModel, Mechanics
@@ -73,7 +73,7 @@ def arm(joints, payload, **more):
     groups = parameters, states(*(j.name for j in joints)), Inputs, Power
     views = {"views": lambda *_: {}} | more
     model = Mechanics(joints, *groups, lambda _: (0, 0, -G), payload, **views)
-    return Part(model.subsystem(name="arm", text="An arm"))
+    return Part(Subsystem(**model.declared, name="arm", text="An arm"))
 
 
 def test_an_arm_on_a_rail_is_the_cart_with_a_pendulum():
