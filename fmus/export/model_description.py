@@ -84,7 +84,6 @@ def model_description(
     step: float,
     stop: float,
     sources: Sequence[str] = (),
-    capabilities: Mapping[str, Mapping[str, str]] | None = None,
     structure: Unknowns | None = None,
 ) -> bytes:
     """The content of modelDescription.xml, of FMI 2 or 3.
@@ -92,7 +91,6 @@ def model_description(
     token          the GUID (FMI 2) or instantiation token (FMI 3)
     step, stop     default experiment [s]
     sources        C files to compile, for FMI 2; FMI 3 lists them in buildDescription.xml
-    capabilities   ModelExchange and CoSimulation -> attributes; default: those of an FMU with C code
     structure      unknowns and dependencies for ModelStructure; default: derived from the equations
     """
     units = {v.quantity.unit for v in interface.variables}
@@ -106,7 +104,7 @@ def model_description(
         token=token,
         version=package_version(),
         generation_tool=generation_tool(),
-        capabilities=capabilities or _capabilities(interface, fmi),
+        capabilities=_capabilities(interface, fmi),
         sources=sources,
         units={name: (base_unit(name), display_conversion(name)) for name in sorted(units)},
         categories=LOG_CATEGORIES,
@@ -125,13 +123,22 @@ def model_description(
 
 
 def _capabilities(interface: Interface, fmi: int) -> Mapping[str, Mapping[str, str]]:
-    """Of an FMU with C code; a sampled one has no derivatives of outputs, and stops nowhere within a step."""
+    """ModelExchange and CoSimulation -> attributes.
+
+    A sampled model, or one in Python, has no derivatives of outputs, and stops nowhere within a step. The latter
+    has no derivatives at all.
+    """
     found = dict(CAPABILITIES[fmi])
-    if interface.sampling:
-        none = {"maxOutputDerivativeOrder": "0"}
+    others: dict[str, str] = {}
+    if interface.sampling or interface.in_python:
+        others = {"maxOutputDerivativeOrder": "0"}
         if fmi == 3:
-            none |= {"providesIntermediateUpdate": "false", "canReturnEarlyAfterIntermediateUpdate": "false"}
-        found["CoSimulation"] = {**found["CoSimulation"], **none}
+            others |= {"providesIntermediateUpdate": "false", "canReturnEarlyAfterIntermediateUpdate": "false"}
+    if interface.in_python:
+        del found["ModelExchange"]
+        derivatives = f"providesDirectionalDerivative{'s' if fmi == 3 else ''}"
+        others |= {"needsExecutionTool": "true", derivatives: "false"}
+    found["CoSimulation"] = {**found["CoSimulation"], **others}
     return found
 
 
