@@ -125,15 +125,18 @@ def model_description(
 def _capabilities(interface: Interface, fmi: int) -> Mapping[str, Mapping[str, str]]:
     """ModelExchange and CoSimulation -> attributes.
 
-    A sampled model, or one in Python, has no derivatives of outputs, and stops nowhere within a step. The latter
-    has no derivatives at all.
+    A sampled model, or one in Python, has no derivatives of outputs, and stops nowhere within a step. One in
+    Python has no derivatives at all.
     """
     found = dict(CAPABILITIES[fmi])
     others: dict[str, str] = {}
     if interface.sampling or interface.in_python:
         others = {"maxOutputDerivativeOrder": "0"}
         if fmi == 3:
-            others |= {"providesIntermediateUpdate": "false", "canReturnEarlyAfterIntermediateUpdate": "false"}
+            others |= {
+                "providesIntermediateUpdate": "false",
+                "canReturnEarlyAfterIntermediateUpdate": "false",
+            }
     if interface.in_python:
         del found["ModelExchange"]
         derivatives = f"providesDirectionalDerivative{'s' if fmi == 3 else ''}"

@@ -120,18 +120,17 @@ def _write(
     """Write the FMU of a model to a folder; returns its path. `files`: further ones by path."""
     interface, name = user.interface, user.interface.name
     card = {"name": name, "version": package_version(), "guid": PLACEHOLDER, "file": file}
-    description = model_description(
-        interface, fmi, PLACEHOLDER, STEP, STOP, structure=structure(user)
-    )
+    description = model_description(interface, fmi, PLACEHOLDER, STEP, STOP, structure=structure(user))
     code = sources(interface, PLACEHOLDER, fmi, model=python_code())
-    shown = {"modelDescription.xml": description.decode(), f"resources/{MODEL_FILE}": json.dumps(card, indent=1)}
+    shown = {
+        "modelDescription.xml": description.decode(),
+        f"resources/{MODEL_FILE}": json.dumps(card, indent=1),
+    }
     modules = {path: text.decode() for path, text in files.items() if path.endswith(".py")}
     guid = guid_of([shown, code, {"resources/script": script(name, interface.description, "")}, modules])
     stem = f"slave_{name}_{guid[1:9]}"
     encoded = {path: text.replace(PLACEHOLDER, guid).encode() for path, text in code.items()}
-    libraries = {
-        p: shared_library(name, encoded, [main_source(name)], p, ("-lm", "-ldl")) for p in platforms
-    }
+    libraries = {p: shared_library(name, encoded, [main_source(name)], p, ("-lm", "-ldl")) for p in platforms}
     content = {
         **{path: text.replace(PLACEHOLDER, guid).encode() for path, text in shown.items()},
         "resources/slavemodule.txt": stem.encode(),

@@ -26,8 +26,8 @@ def checked(path: Path, step: float) -> UserModel:
         ends = [_after_steps(model, x, STEPS * step, step) for _ in range(2)]
         if any(a.tobytes() != b.tobytes() for a, b in zip(*ends, strict=True)):
             raise Problem(
-                f"{model.model.name}: steps repeated from a saved state give different values: the model stores "
-                "something outside State (in a list, a global variable, a random number generator)"
+                f"{model.model.name}: steps repeated from a saved state give different values: the model "
+                "stores something outside State (in a list, a global variable, a random number generator)"
             )
         _check_dependencies(model, x)
     except (Exception, SystemExit) as problem:

@@ -1,9 +1,9 @@
 """The slave class of FMUs in Python.
 
-The script of an FMU defines a subclass of `PythonSlave`. The library of the FMU (native/python_model.c) has one
-object of it for all instances and calls the methods of the model by `call`; all else is done in C, as in other
-FMUs. The library of PythonFMU has an object for each instance, which keeps the values; it checks none of them,
-and holds the inputs over a step.
+The script of an FMU defines a subclass of `PythonSlave`. The library of the FMU (native/python_model.c) has
+one object of it for all instances and calls the methods of the model by `call`; all else is done in C, as in
+other FMUs. The library of PythonFMU has an object for each instance, which keeps the values; it checks none
+of them, and holds the inputs over a step.
 """
 
 from __future__ import annotations
@@ -103,7 +103,9 @@ def connect(slave: Callable[..., PythonSlave], folder: Path, guid: str) -> Any:
     try:
         connected = slave(instance_name="", resources=str(folder))
         if guid != connected.built["guid"]:
-            raise Problem(f'the GUID differs, expected "{connected.built["guid"]}" (files of different builds)')
+            raise Problem(
+                f'the GUID differs, expected "{connected.built["guid"]}" (files of different builds)'
+            )
         return connected
     except KeyboardInterrupt:
         raise

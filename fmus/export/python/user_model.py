@@ -324,7 +324,7 @@ class UserModel:
     def advance(self, x: Array, inputs: Array, p: Array, time: float, length: float) -> Array:
         """States after `length` seconds: equal steps, none longer than `inner_step`.
 
-        inputs   coefficients of their polynomials of the time since the start, from the constant; shape (n, nu)
+        inputs   coefficients of their polynomials of the time since the start, constant first; shape (n, nu)
         """
         count = max(1, math.ceil(length / self.model.inner_step - 1e-9))
         h = length / count

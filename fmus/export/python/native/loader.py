@@ -10,8 +10,8 @@ import urllib.parse
 import urllib.request
 from typing import Any
 
-# This code runs for every library, in one module: setdefault keeps the lock of the first one. Without the lock a
-# thread could get a script that another thread has loaded only in part.
+# This code runs for every library, in one module: setdefault keeps the lock of the first one. Without the
+# lock a thread could get a script that another thread has loaded only in part.
 LOCK = globals().setdefault("LOCK", threading.RLock())
 
 
