@@ -73,6 +73,23 @@ CAPABILITIES: Mapping[int, Mapping[str, Mapping[str, str]]] = {
         },
     },
 }
+# FMI version -> attributes of CoSimulation of a sampled model or one in Python, and others of the latter
+_WHOLE_STEPS = {
+    2: {"maxOutputDerivativeOrder": "0"},
+    3: {
+        "maxOutputDerivativeOrder": "0",
+        "providesIntermediateUpdate": "false",
+        "canReturnEarlyAfterIntermediateUpdate": "false",
+    },
+}
+_IN_PYTHON = {
+    2: {"needsExecutionTool": "true", "providesDirectionalDerivative": "false"},
+    3: {
+        "needsExecutionTool": "true",
+        "providesDirectionalDerivatives": "false",
+        "hasEventMode": "false",
+    },
+}
 # group of unknowns in FMI 2 -> each unknown with its dependencies, each with its dependenciesKind
 Unknowns = Mapping[str, Sequence[tuple[Variable, Sequence[tuple[Variable, str]]]]]
 
@@ -126,23 +143,14 @@ def _capabilities(interface: Interface, fmi: int) -> Mapping[str, Mapping[str, s
     """ModelExchange and CoSimulation -> attributes.
 
     A sampled model, or one in Python, has no derivatives of outputs, and stops nowhere within a step. One in
-    Python has no derivatives at all.
+    Python has no derivatives at all, and no events.
     """
-    found = dict(CAPABILITIES[fmi])
-    others: dict[str, str] = {}
+    found, others = CAPABILITIES[fmi], dict[str, str]()
     if interface.sampling or interface.in_python:
-        others = {"maxOutputDerivativeOrder": "0"}
-        if fmi == 3:
-            others |= {
-                "providesIntermediateUpdate": "false",
-                "canReturnEarlyAfterIntermediateUpdate": "false",
-            }
+        others = _WHOLE_STEPS[fmi]
     if interface.in_python:
-        del found["ModelExchange"]
-        derivatives = f"providesDirectionalDerivative{'s' if fmi == 3 else ''}"
-        others |= {"needsExecutionTool": "true", derivatives: "false"}
-    found["CoSimulation"] = {**found["CoSimulation"], **others}
-    return found
+        found, others = {"CoSimulation": found["CoSimulation"]}, others | _IN_PYTHON[fmi]
+    return {kind: {**flags, **others} if kind == "CoSimulation" else flags for kind, flags in found.items()}
 
 
 def base_unit(unit: str) -> dict[str, str]:
