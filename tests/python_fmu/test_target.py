@@ -68,7 +68,7 @@ def test_an_fmu_that_does_not_fit_here_is_refused(actuator, tmp_path, capsys, ke
 @pytest.mark.parametrize("run", [False, pytest.param(True, marks=shards.machine)], ids=["files", "run"])
 def test_check_finds_nothing_but_python(tmp_path, run):
     """`harvester check` finds no error and notes that Python is needed."""
-    report = check(built(tmp_path), run=run)
+    report = check(built(tmp_path, fmi=3 if run else 2), run=run)
     assert [f for f in report.findings if f.severity == "error"] == []
     found = {f.rule: f.text for f in report.findings}
     assert "needs Python on the target" in found["python.needed"]

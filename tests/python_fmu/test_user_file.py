@@ -48,6 +48,7 @@ def test_it_is_a_lag(tmp_path, fmi):
         fmu.step(0.01)
         y = 0.01 * (1.0 + 2.0 * 0.005) / 0.1  # u in the middle of the step
         assert fmu.get("u", "y", "z") == pytest.approx([1.02, y, y + 0.5], rel=1e-15)  # the same operations
+        fmu.refuses(lambda: fmu.output_slopes("z"), "a model written by hand has no derivatives")
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -204,6 +205,17 @@ def test_an_interrupt_reaches_the_program(tmp_path, capsys, where):
         fmu.start(w=2.0).step(1e-3)
     fmu.fmu.freeInstance()
     assert ": interrupted by the user" in capsys.readouterr().out
+
+
+def test_variables_that_differ_from_the_build_are_refused(tmp_path, monkeypatch):
+    """A model whose groups follow its environment: an error, because the library has other arrays."""
+    last, more = "warn_above=100.0)]", "more: Annotated[float, Quantity('N', 'Another')] = 0.0"
+    choice = f"\n    if __import__('os').environ.get('MORE'):\n        {more}"
+    path = built(tmp_path, (last, last + choice))
+    monkeypatch.setenv("MORE", "1")
+    fmu = Fmu(path)
+    fmu.refuses(fmu.start, "other variables than at its build")
+    fmu.close()
 
 
 def test_values_out_of_bounds_are_refused(tmp_path):
