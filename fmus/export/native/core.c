@@ -140,6 +140,7 @@ LOCAL int core_get(Core *core, unsigned reference, double *value) {
     if (reference >= FIRST_STATE && core_failed(core)) return 0;
     if (isfinite(*value)) return 1;
     core_require(core);
+    if (core_failed(core)) return 0;
     for (int i = 0; i < NREQUIRE; i++) /* a violated requirement explains the value better */
         if (core->require[i] <= 0.0) return violated(core, i);
     core_message(core, ERROR, "%s is %g at t = %.9g s, expected a finite number",
