@@ -137,7 +137,7 @@ LOCAL int core_get(Core *core, unsigned reference, double *value) {
         return 0;
     }
     *value = value_of(core, (int)reference);
-    if (reference >= FIRST_STATE && core_failed(core)) return 0;
+    if ((int)reference >= FIRST_STATE && core_failed(core)) return 0;
     if (isfinite(*value)) return 1;
     core_require(core);
     if (core_failed(core)) return 0;
