@@ -228,7 +228,7 @@ def _axis(
 ) -> AxisCheck:
     pressure = crane.numbers["supply"]["pressure_setting"].value
     hose = math.pi / 4 * joint["hose_bore"] ** 2 * joint["hose_length"]
-    if joint.drive == "motor":
+    if joint.motor:
         high = joint["stop_at"] if "stop_at" in joint.numbers else math.inf
         low, levers, lever = -high, (1.0, 1.0), 1.0
         head = rod = joint["motor_displacement"] * joint["gear_ratio"]
@@ -270,7 +270,7 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     sub = manipulator(crane)
     of, v = sub.model, values(sub)
     p = nested(of.parameters, v.p)
-    axes = [a for a in found if a.joint.drive != "motor"]
+    axes = [a for a in found if a.joint.cylinder]
     s, q = ca.SX.sym("s", len(axes)), _coordinates(of, v)
     for k, a in enumerate(axes):
         q[of.index(a.joint.name)] = s[k]
@@ -310,7 +310,7 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
 
 def lifting_moment(found: Sequence[AxisCheck]) -> float:
     """Gross: largest moment of the first cylinder about its joint [N.m], 0 without one."""
-    first = next((a for a in found if a.joint.kind == "revolute" and a.joint.drive != "motor"), None)
+    first = next((a for a in found if a.joint.revolute and a.joint.cylinder), None)
     return first.push * first.levers[1] if first else 0.0
 
 
@@ -323,7 +323,7 @@ def _transmission(of: Mechanics, joint: JointDescription, v: Values) -> ca.Funct
 
 def _range(of: Mechanics, joint: JointDescription, v: Values) -> tuple[float, float, tuple[float, float]]:
     """Ends of the coordinate over the stroke, least and largest lever."""
-    unit, scale = ("deg", 180 / math.pi) if joint.kind == "revolute" else ("mm", 1e3)
+    unit, scale = ("deg", 180 / math.pi) if joint.revolute else ("mm", 1e3)
     function, step = _transmission(of, joint, v), STEP[joint.kind]
     first, lever = (float(x) for x in function(joint.start.value))
     at = f"start {scale * joint.start.value:.4g} {unit}"
@@ -382,10 +382,10 @@ def _doubts(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str
     """What is possible but seldom meant."""
     for j in crane.joints:
         weightless = not (j["stiffness"] or any(j[f"inertia_{n}"] for n in INERTIAS))
-        if j["mass"] == 0 and (weightless or j.drive in ("cylinder", "four-bar")):
+        if j["mass"] == 0 and (weightless or j.cylinder):
             yield f"[{j.name}] has no mass"
         rubs = j["damping"] or any(contacts(j))
-        if j.drive == "none" and not j.follows and not rubs:
+        if not j.driven and not j.follows and not rubs:
             yield f"[{j.name}] passive, without damping and friction: it swings for ever"
         if "cushion" in j.additions:
             yield f"[{j.name}] cushion: not in quasistatic and compensated drives, which have no oil columns"
@@ -402,15 +402,13 @@ def _assumed(crane: CraneDescription) -> Iterator[str]:
     """Numbers that the description does not have: of joints and tables, and of the paper's machine."""
     from fmus.crane.machine import borrowed
 
-    keys = {
-        n: f"{table}.{key}" for table, rules in DRIVES.items() for key, r in rules.items() for n in r.names
-    }
+    keys = {n: f"{table}.{key}" for table, rules in DRIVES.items() for key, r in rules.items() for n in r}
     for j in crane.driven:
         own = [(keys[n], x) for n, x in j.numbers.items() if n in keys and x.note == DEFAULT and x.value]
         own = [(key, x) for key, x in own if key != "hydraulics.drop"]
         yield from _listed(f"[{j.name}]", own)
     for table, numbers in crane.numbers.items():
-        own = [(key, numbers[n]) for key, r in TABLES[table].items() for n in r.names if n in numbers]
+        own = [(key, numbers[n]) for key, r in TABLES[table].items() for n in r if n in numbers]
         yield from _listed(f"[{table}]", [(key, x) for key, x in own if x.note == DEFAULT and x.value])
     for part, some in borrowed(crane).items() if crane.driven else ():
         yield from _listed(f"{part}, as of the paper's machine:", [*some.items()])
@@ -483,11 +481,8 @@ def _cells(loads: Capacity) -> tuple[Array, tuple[Array, Array]]:
 
 
 def _row(a: AxisCheck, speeds: Speeds | None) -> list[str]:
-    revolute = a.joint.kind == "revolute"
-    unit, scale, digits = ("deg", 180 / math.pi, 1) if revolute else ("m", 1.0, 2)
-    force, lever = (
-        ("kN.m", "1") if a.joint.drive == "motor" else ("kN", f"{a.levers[0]:.3f} to {a.levers[1]:.3f} m")
-    )
+    unit, scale, digits = ("deg", 180 / math.pi, 1) if a.joint.revolute else ("m", 1.0, 2)
+    force, lever = ("kN.m", "1") if a.joint.motor else ("kN", "{:.3f} to {:.3f} m".format(*a.levers))
     low, high = (round(scale * x, digits) + 0.0 for x in (a.low, a.high))  # no -0.0
     ends = f"{low:.{digits}f} to {high:.{digits}f} {unit}" if math.isfinite(low) else "no end"
     moving = list[str]()

@@ -74,11 +74,11 @@ def _joint(j: JointDescription, low: float, high: float) -> str:
     sign = -1 if j.axis[0] == "-" else 1
     axis = _vector(sign * (n == j.axis[-1]) for n in "xyz")
     bounded = math.isfinite(high - low)
-    kind = j.kind if bounded or j.kind == "prismatic" else "continuous"
+    kind = "continuous" if j.revolute and not bounded else j.kind
     ends = (low, high) if bounded else (-100.0, 100.0)
     limit = f'    <limit lower="{ends[0]:.9g}" upper="{ends[1]:.9g}" effort="0" velocity="0"/>\n'
-    mimic = f'    <mimic joint="{j.follows}_joint" multiplier="{j.ratio.value:.17g}"/>\n' if j.follows else ""
-    friction = j["coulomb"] if j.kind == "revolute" else 0.0
+    mimic = f'    <mimic joint="{j.follows}_joint" multiplier="{j["ratio"]:.17g}"/>\n' if j.follows else ""
+    friction = j["coulomb"] if j.revolute else 0.0
     losses = f'    <dynamics damping="{j["damping"]:.17g}" friction="{friction:.17g}"/>\n'
     return (
         f'  <joint name="{j.name}_joint" type="{kind}">\n    <parent link="{j.parent or BASE}"/>\n'

@@ -349,7 +349,7 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
 def _inside(crane: CraneDescription, j: JointDescription) -> float:
     """Length of a stage of a telescope behind its joint [m]: its stroke, as far as there is room."""
     led = crane.joint(j.follows) if j.follows else j
-    ratio = j.ratio.value if j.follows else 1.0
+    ratio = j["ratio"] if j.follows else 1.0
     stroke = ratio * led["stroke"] if "stroke" in led.numbers else 2 * math.hypot(*_along(j))
     before = crane.joint(j.parent) if j.parent else None
     room = math.hypot(*_at(j))
