@@ -35,6 +35,7 @@ from orchestrator.base.errors import Mistakes, Problem, suggest
 from orchestrator.base.files import Location, write_whole
 from orchestrator.base.units import Unit, number_and_unit, parse_unit
 from orchestrator.data import gltf
+from orchestrator.data.table import Array
 
 AXES = get_args(Axis)
 Assembly: TypeAlias = Literal["above", "below"]
@@ -267,6 +268,12 @@ class JointDescription:
     def coordinate(self) -> str:
         """Name of its coordinate."""
         return f"{self.name}_{'angle' if self.revolute else 'extension'}"
+
+    @property
+    def direction(self) -> Array:
+        """Of its axis, shape (3,)."""
+        sign = -1.0 if self.axis[0] == "-" else 1.0
+        return np.array([sign if n == self.axis[-1] else 0.0 for n in "xyz"])
 
     @property
     def unit(self) -> str:

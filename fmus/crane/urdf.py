@@ -71,8 +71,6 @@ def _bar(end: Array) -> str:
 
 
 def _joint(j: JointDescription, low: float, high: float) -> str:
-    sign = -1 if j.axis[0] == "-" else 1
-    axis = _vector(sign * (n == j.axis[-1]) for n in "xyz")
     bounded = math.isfinite(high - low)
     kind = "continuous" if j.revolute and not bounded else j.kind
     ends = (low, high) if bounded else (-100.0, 100.0)
@@ -83,7 +81,8 @@ def _joint(j: JointDescription, low: float, high: float) -> str:
     return (
         f'  <joint name="{j.name}_joint" type="{kind}">\n    <parent link="{j.parent or BASE}"/>\n'
         f'    <child link="{j.name}"/>\n    <origin xyz="{_vector(j[f"at_{n}"] for n in "xyz")}"/>\n'
-        f'    <axis xyz="{axis}"/>\n{"" if kind == "continuous" else limit}{mimic}{losses}  </joint>\n'
+        f'    <axis xyz="{_vector(j.direction)}"/>\n{"" if kind == "continuous" else limit}{mimic}{losses}'
+        "  </joint>\n"
     )
 
 
