@@ -276,16 +276,6 @@ class JointDescription:
         return np.array([sign if n == self.axis[-1] else 0.0 for n in "xyz"])
 
     @property
-    def unit(self) -> str:
-        """Of its coordinate."""
-        return UNITS[self.kind][0]
-
-    @property
-    def effort(self) -> str:
-        """Unit of what moves it."""
-        return UNITS[self.kind][1]
-
-    @property
     def revolute(self) -> bool:
         """Whether it turns."""
         return self.kind == "revolute"

@@ -20,7 +20,15 @@ from fmus import ports
 from fmus.components.chain import Link, Payload, Vector, gravity_on_slope
 from fmus.components.linkage import Cylinder, Drive, FourBar, Telescope
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities
-from fmus.crane.description import INERTIAS, OF_JOINT, RATIO, TABLES, CraneDescription, JointDescription
+from fmus.crane.description import (
+    INERTIA,
+    OF_JOINT,
+    RATIO,
+    TABLES,
+    UNITS,
+    CraneDescription,
+    JointDescription,
+)
 from fmus.joints import BARS, JointModel, Mechanics
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.manipulator.friction import (
@@ -123,7 +131,7 @@ def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
             parent=names.index(j.parent) if j.parent else None,
             mass=one("mass")(p),
             centre=_vector(of(p, "centre_x", "centre_y", "centre_z")),
-            inertia=of(p, *(f"inertia_{n}" for n in INERTIAS)),
+            inertia=of(p, *INERTIA),
             follows=names.index(j.follows) if j.follows else None,
             ratio=one("ratio")(p) if j.follows else 1,
         )
@@ -224,13 +232,13 @@ def manipulator(crane: CraneDescription) -> Subsystem:
     free = [j for j in crane.joints if not j.follows]
     pistons, motors = [j for j in free if j.cylinder], [j for j in free if j.motor]
     coordinates = {
-        j.coordinate: Quantity(j.unit, f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}")
+        j.coordinate: Quantity(j.start.unit, f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}")
         for j in crane.joints
     }
     states = dict[str, Quantity]()
     for j in free:
         states[j.coordinate] = coordinates[j.coordinate]
-        states[f"{j.name}_speed"] = Quantity(f"{j.unit}/s", f"Speed of the {j.name} joint")
+        states[f"{j.name}_speed"] = Quantity(f"{j.start.unit}/s", f"Speed of the {j.name} joint")
     held = _of(ManipulatorState, "held_mass", "payload_flow")
     rubbing = [
         (j, name, c) for j in free for name, c in zip(contacts(j), CONTACTS.values(), strict=True) if name
@@ -243,12 +251,12 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         **{j.name: CylinderInputs for j in pistons},
         **{j.name: MotorInputs for j in motors},
     )
-    accelerations = {f"{j.name}_acceleration": ports.rate_output(f"{j.name}_speed", "rad/s2") for j in motors}
-    accelerations |= {
+    shown = {f"{j.name}_acceleration": ports.rate_output(f"{j.name}_speed", "rad/s2") for j in motors}
+    shown |= {
         f"{j.name}_holding_torque": Quantity("N.m", f"Torque that holds the {j.name} against gravity", 1e4)
         for j in motors
     }
-    shown = {n: q for n, q in coordinates.items() if n not in states}
+    shown |= {n: q for n, q in coordinates.items() if n not in states}
     shown |= {
         f"{j.name}_{bar}_angle": Quantity("rad", f"Angle of the {bar} of the {j.name} in its parent's frame")
         for j in pistons
@@ -263,7 +271,7 @@ def manipulator(crane: CraneDescription) -> Subsystem:
     }
     shown |= {
         f"{j.name}_stop_torque": Quantity(
-            j.effort,
+            UNITS[j.kind][1],
             f"Effort of the end stops of the {j.name} joint: zero except at the ends of its range",
             1e4,
             warn_above=1.0,
@@ -285,7 +293,7 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         shown["ground_force"] = Quantity("N", "Normal force of the ground on the tip", 1e4)
     outputs = make_group(
         "Outputs",
-        {**states, **held, **accelerations, **shown, **_of(ManipulatorOutputs, *SHOWN)},
+        {**states, **held, **shown, **_of(ManipulatorOutputs, *SHOWN)},
         **{j.name: CylinderOutputs for j in pistons},
     )
     of = mechanics(crane, parameters, state, inputs, outputs)
