@@ -223,9 +223,13 @@ def _scene(crane: CraneDescription) -> dict[str, Any]:
     reach = _reach(crane)
     joints, cylinders, pressures = dict[str, Any](), dict[str, Any](), dict[str, str]()
     for j in crane.joints:
-        at = [_sum((j, f"at_{n}")) for n in "xyz"]
         initial = "" if j.follows else f"initial_{j.coordinate}"
-        joints[j.name] = {"parent": _body(j.parent), "at": at, "axis": j.axis, "kind": j.kind}
+        joints[j.name] = {
+            "parent": j.parent or "ground",
+            "at": _place(j, "at"),
+            "axis": j.axis,
+            "kind": j.kind,
+        }
         joints[j.name] |= {"signal": j.coordinate, "initial": initial}
         if j.four_bar:
             joints |= _linkage(j)
@@ -244,37 +248,27 @@ def _scene(crane: CraneDescription) -> dict[str, Any]:
     }
 
 
-def _body(parent: str) -> str:
-    return parent or "ground"
-
-
-def _sum(*terms: tuple[JointDescription, str]) -> str | float:
-    """A formula of parameters of joints; those that are 0 are none."""
-    return " + ".join(f"{j.name}_{n}" for j, n in terms if j[n] != 0) or 0
+def _place(j: JointDescription, *vectors: str) -> list[str | float]:
+    """A sum of vectors by the parameters of a joint; those that are 0 are none."""
+    names = ([n for v in vectors if (n := f"{v}_{axis}") in j.numbers and j[n] != 0] for axis in "xyz")
+    return [" + ".join(f"{j.name}_{n}" for n in some) or 0 for some in names]
 
 
 def _linkage(j: JointDescription) -> dict[str, Any]:
     """Rocker and coupler; their angles are those in the frame of the joint's parent."""
-    at = [_sum((j, "at_x"), (j, "pivot_x")), _sum((j, "at_y")), _sum((j, "at_z"), (j, "pivot_z"))]
-    body, common = _body(j.parent), {"axis": j.axis}
-    return {
-        f"{j.name}_rocker": {"parent": body, "at": at, "signal": f"{j.name}_rocker_angle", **common},
-        f"{j.name}_coupler": {
-            **{"parent": f"{j.name}_rocker", "frame": body, "at": [f"{j.name}_rocker", 0, 0]},
-            **{"signal": f"{j.name}_coupler_angle", **common},
-        },
+    body, rocker, coupler = j.parent or "ground", f"{j.name}_rocker", f"{j.name}_coupler"
+    found: dict[str, Any] = {
+        rocker: {"parent": body, "at": _place(j, "at", "pivot")},
+        coupler: {"parent": rocker, "frame": body, "at": [rocker, 0, 0]},
     }
+    return {bar: {**x, "signal": f"{bar}_angle", "axis": j.axis} for bar, x in found.items()}
 
 
 def _cylinder(j: JointDescription) -> dict[str, Any]:
-    base = [_sum((j, "at_x"), (j, "base_x")), _sum((j, "at_y")), _sum((j, "at_z"), (j, "base_z"))]
-    if j.four_bar:
-        pin = {"body": f"{j.name}_rocker", "at": [f"{j.name}_rocker", 0, 0]}
-    else:
-        pin = {"body": j.name, "at": [_sum((j, "pin_x")), 0, _sum((j, "pin_z"))]}
+    rocker, pin = f"{j.name}_rocker", {"body": j.name, "at": _place(j, "pin")}
     return {
-        "base": {"body": _body(j.parent), "at": base},
-        "pin": pin,
+        "base": {"body": j.parent or "ground", "at": _place(j, "at", "base")},
+        "pin": {"body": rocker, "at": [rocker, 0, 0]} if j.four_bar else pin,
         "closed_length": f"{j.name}_closed_length",
         "stroke": f"{j.name}_stroke",
         "barrel_radius": round(0.6 * j["bore"], 4),
