@@ -18,6 +18,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from lxml import etree
+from scipy.spatial.transform import Rotation
 
 from fmus.crane.check import AxisCheck
 from fmus.crane.description import INERTIAS, MOST_JOINTS, SYMMETRIC, CraneDescription, JointDescription
@@ -246,13 +247,7 @@ def _number(element: Any, name: str, default: float = 0.0) -> float:
 
 def _rotation(origin: Any) -> Array:
     """Of roll, pitch and yaw about fixed axes."""
-    (r, p, y) = _numbers(origin, "rpy", "0 0 0")
-    (a, b), (c, d), (e, f) = ((math.cos(x), math.sin(x)) for x in (r, p, y))
-    about_x, about_y = (
-        np.array([[1, 0, 0], [0, a, -b], [0, b, a]]),
-        np.array([[c, 0, d], [0, 1, 0], [-d, 0, c]]),
-    )
-    turned: Array = np.array([[e, -f, 0], [f, e, 0], [0, 0, 1]]) @ about_y @ about_x
+    turned: Array = Rotation.from_euler("xyz", _numbers(origin, "rpy", "0 0 0")).as_matrix()
     return turned
 
 
@@ -271,11 +266,8 @@ def _lines(tables: Mapping[str, Mapping[str, Any]], title: str) -> Iterator[str]
     for name, table in tables.items():
         body: _Body = table["body"]
         entries = {"at": table["at"], "mass": body.mass, "centre": body.centre}
-        entries |= {
-            "inertia": [body.inertia[i // 3, i % 3] for i in (0, 4, 8, 1, 2, 5)],
-        }
-        entries |= {n: table[n] for n in ("damping", "friction") if n in table}
-        entries |= {"ratio": table["ratio"]} if "ratio" in table else {}
+        entries["inertia"] = body.inertia.ravel()[[0, 4, 8, 1, 2, 5]]
+        entries |= {n: table[n] for n in ("damping", "friction", "ratio") if n in table}
         yield f"\n[{name}]\n"
         yield from (f"# left out: {text}\n" for text in table["left out"])
         yield from (f'{n} = "{table[n]}"\n' for n in ("joint", "axis", "parent", "follows") if n in table)
