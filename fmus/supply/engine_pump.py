@@ -129,11 +129,14 @@ def initial(x: Any, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
     speed = p.engine.no_load_speed
     for _ in range(engine_and_pump.ITERATIONS):
         speed = engine_and_pump.governed_speed(p.engine, _idle_load(p, speed), speed)
-    found = rail.start(p, speed)
-    for name, pump in p.pumps.items():
-        dead_head = engine_and_pump.dead_head(rail.at_start(pump, p), speed, p.reservoir_pressure)
-        found[f"{name}_stroke"], found[f"{name}_pressure"] = dead_head
-    return {"supply_pressure": ca.fmax(found["pump_1_pressure"], found["pump_2_pressure"]), **found}
+    tank, pumps = p.reservoir_pressure, {n: rail.at_start(pump, p) for n, pump in p.pumps.items()}
+    found = {n: engine_and_pump.dead_head(pump, speed, tank) for n, pump in pumps.items()}
+    return {
+        "supply_pressure": ca.fmax(*(pressure for _, pressure in found.values())),
+        **{f"{n}_pressure": pressure for n, (_, pressure) in found.items()},
+        **{f"{n}_stroke": stroke for n, (stroke, _) in found.items()},
+        **rail.start(p, speed),
+    }
 
 
 def _idle_load(p: EnginePumpParameters, speed: Scalar) -> Scalar:
