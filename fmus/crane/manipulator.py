@@ -9,7 +9,6 @@ Validity: rigid links, viscous friction, the pins of a cylinder in the plane of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -115,49 +114,49 @@ def numbers_of(joint: JointDescription) -> dict[str, Number]:
 def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
     """A joint of a description."""
     own, names = numbers_of(j), [joint.name for joint in crane.joints]
+    nothing = dict.fromkeys(OF_JOINT[j.kind], 0)
 
-    def of(p: Any, *some: str) -> tuple[Scalar, ...]:
-        return tuple(getattr(getattr(p, j.name), n) if n in own else 0 for n in some)
-
-    def one(name: str) -> Callable[[Any], Scalar]:
-        return lambda p: of(p, name)[0]
+    def of(p: Any) -> Any:
+        """Its parameters, 0 where it has none."""
+        return SimpleNamespace(**{**nothing, **{n: getattr(getattr(p, j.name), n) for n in own}})
 
     def link(p: Any) -> Link:
+        o = of(p)
         return Link(
             name=j.name,
             joint=j.kind,
             axis=j.axis,
-            at=_vector(of(p, "at_x", "at_y", "at_z")),
+            at=(o.at_x, o.at_y, o.at_z),
             parent=names.index(j.parent) if j.parent else None,
-            mass=one("mass")(p),
-            centre=_vector(of(p, "centre_x", "centre_y", "centre_z")),
-            inertia=of(p, *INERTIA),
+            mass=o.mass,
+            centre=(o.centre_x, o.centre_y, o.centre_z),
+            inertia=[getattr(o, n) for n in INERTIA],
             follows=names.index(j.follows) if j.follows else None,
-            ratio=one("ratio")(p) if j.follows else 1,
+            ratio=o.ratio if j.follows else 1,
         )
 
     def drive(p: Any) -> Drive:
-        base, pin, pivot, end = (of(p, f"{n}_x", f"{n}_z") for n in ("base", "pin", "pivot", "link"))
-        closed, rocker, coupler = of(p, "closed_length", *BARS)
+        o = of(p)
+        base, pivot, end = (o.base_x, o.base_z), (o.pivot_x, o.pivot_z), (o.link_x, o.link_z)
         if not j.revolute:
             return Telescope()
         if j.four_bar:
-            return FourBar(base, closed, pivot, rocker, coupler, end, j.assembly)
-        return Cylinder(base, pin, closed)
+            return FourBar(base, o.closed_length, pivot, o.rocker, o.coupler, end, j.assembly)
+        return Cylinder(base, (o.pin_x, o.pin_z), o.closed_length)
 
     def stop(p: Any) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-        at, stiffness, damping = of(p, "stop_at", "stop_stiffness", "stop_damping")
-        return at, stiffness, damping, STOP_ROUNDING
+        o = of(p)
+        return o.stop_at, o.stop_stiffness, o.stop_damping, STOP_ROUNDING
 
     model = JointModel(
         name=j.name,
         coordinate=j.coordinate,
         link=link,
-        damping=one("damping"),
-        stiffness=one("stiffness") if "stiffness" in own else None,
+        damping=lambda p: of(p).damping,
+        stiffness=(lambda p: of(p).stiffness) if "stiffness" in own else None,
         motor=j.motor,
         drive=drive if j.cylinder else None,
-        piston=(lambda p: (one("stroke")(p), one("piston_damping")(p))) if j.cylinder else None,
+        piston=(lambda p: (of(p).stroke, of(p).piston_damping)) if j.cylinder else None,
         stop=stop if "stop_at" in own else None,
         stop_shown=f"{j.name}_stop_torque",
         contacts=contacts(j),
@@ -168,11 +167,6 @@ def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
         return model
     at_start = drive(SimpleNamespace(**{j.name: SimpleNamespace(**{n: x.value for n, x in own.items()})}))
     return replace(model, lever=-1.0 if float(at_start.at(j.start.value).arm) < 0 else 1.0)
-
-
-def _vector(values: Sequence[Scalar]) -> Vector:
-    x, y, z = values
-    return x, y, z
 
 
 def crane_tip(crane: CraneDescription, p: Any) -> tuple[int, Vector]:
