@@ -376,12 +376,12 @@ class _Reader:
                 hint = suggest(key, names) or f"; there are {', '.join(names)}"
                 self.wrong(table, f"unknown key {key!r}{hint}")
 
-    def table(self, where: str, given: Any) -> Given:
-        """A table, empty after a mistake."""
-        if isinstance(given, dict):
-            return given
-        self.wrong(where, f"expected a table, got {given!r}")
-        return {}
+    def tables(self, where: str, given: Given, names: Collection[str]) -> dict[str, Any]:
+        """The content of a table; keys with these names are tables, else they are left out."""
+        wrong = {n: x for n, x in given.items() if n in names and not isinstance(x, dict)}
+        for n, x in wrong.items():
+            self.wrong(f"{where}{n}", f"expected a table, got {x!r}")
+        return {n: x for n, x in given.items() if n not in wrong}
 
     def one_of(
         self, table: str, given: Given, key: str, choices: Collection[str], default: str | None = None
@@ -415,7 +415,7 @@ class _Reader:
 
     def numbers(self, table: str, given: Given, keys: Keys, *others: str) -> dict[str, Number]:
         """The parameters of the keys of a table, which has no further keys than the others."""
-        self.unknown(table, given, (*keys, *others))
+        self.unknown(table, given, dict.fromkeys((*keys, *others)))
         found = dict[str, Number]()
         for key, rule in keys.items():
             source, note = (self.source, self.note) if key in given else ("assumed", DEFAULT)
@@ -448,14 +448,16 @@ def read(path: Path, data: bytes | None = None) -> CraneDescription:
     """A crane from its file, or from its content in a system, without meshes; a Problem with all mistakes."""
     content = dict((toml.read_file(path) if data is None else toml.read(path, data)).data)
     reader = _with_origin(_Reader(path, "assumed", "", meshes=data is None), "", content)
-    title, starts = content.pop("title", path.stem), reader.table("start", content.pop("start", {}))
+    content = reader.tables("", content, (*TABLES, "start"))
+    title, starts = content.pop("title", path.stem), content.pop("start", {})
     for key in ("source", "note"):
         content.pop(key, None)
-    tables = {n: reader.table(n, content[n]) if n in content else {} for n in TABLES}
+    tables = {n: content.get(n, {}) for n in TABLES}
+    tables["supply"] = reader.tables("supply.", tables["supply"], OF_SUPPLY)
     numbers = {n: reader.numbers(n, x, TABLES[n], *WORDS.get(n, ())) for n, x in tables.items()}
     for n in (n for n in OF_SUPPLY if n in tables["supply"]):
-        given = reader.table(f"supply.{n}", tables["supply"][n])
-        numbers["supply"] |= reader.numbers(f"supply.{n}", given, keys_of(n, OF_SUPPLY[n]))
+        keys = keys_of(n, OF_SUPPLY[n])
+        numbers["supply"] |= reader.numbers(f"supply.{n}", tables["supply"][n], keys)
     if "ground" not in content:
         numbers["ground"] = {}
     told = {n: x.value for n, x in numbers.pop("datasheet").items()}
@@ -518,8 +520,7 @@ def _joint(
         expected = "a joint name of one word of small letters and digits: its signals are such as"
         reader.wrong(name, f"expected {expected} {name}_angle")
     reader = _with_origin(reader, name, given)
-    inner = {"stop": STOPS, **ADDITIONS, **DRIVES}
-    given = {n: reader.table(f"{name}.{n}", x) if n in inner else x for n, x in given.items()}
+    given = reader.tables(f"{name}.", given, ("stop", *ADDITIONS, *DRIVES))
     words: Mapping[str, tuple[Collection[str], str | None]] = {
         "joint": (UNITS, "revolute"),
         "drive": (USED, "none"),
