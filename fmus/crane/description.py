@@ -303,6 +303,10 @@ class JointDescription:
     def __getitem__(self, name: str) -> float:
         return self.numbers[name].value
 
+    def vector(self, name: str, axes: str = "xyz") -> Array:
+        """Some of its numbers, along axes, shape (n,)."""
+        return np.array([self[f"{name}_{n}"] for n in axes])
+
 
 @dataclass(frozen=True)
 class CraneDescription:

@@ -52,9 +52,9 @@ def _vector(values: Any) -> str:
 
 def _link(crane: CraneDescription, j: JointDescription) -> str:
     inertia = " ".join(f'i{n}="{j[f"inertia_{n}"]:.17g}"' for n in INERTIAS)
-    ends = [[o[f"at_{n}"] for n in "xyz"] for o in crane.joints if o.parent == j.name]
-    bars = "".join(_bar(np.array(end)) for end in ends if math.hypot(*end) > RADIUS)
-    centre = _vector(j[f"centre_{n}"] for n in "xyz")
+    ends = [o.vector("at") for o in crane.joints if o.parent == j.name]
+    bars = "".join(_bar(end) for end in ends if math.hypot(*end) > RADIUS)
+    centre = _vector(j.vector("centre"))
     return (
         f'  <link name="{j.name}">\n    <inertial>\n      <origin xyz="{centre}"/>\n'
         f'      <mass value="{j["mass"]:.17g}"/>\n      <inertia {inertia}/>\n'
@@ -81,7 +81,7 @@ def _joint(j: JointDescription, low: float, high: float) -> str:
     losses = f'    <dynamics damping="{j["damping"]:.17g}" friction="{friction:.17g}"/>\n'
     return (
         f'  <joint name="{j.name}_joint" type="{kind}">\n    <parent link="{j.parent or BASE}"/>\n'
-        f'    <child link="{j.name}"/>\n    <origin xyz="{_vector(j[f"at_{n}"] for n in "xyz")}"/>\n'
+        f'    <child link="{j.name}"/>\n    <origin xyz="{_vector(j.vector("at"))}"/>\n'
         f'    <axis xyz="{_vector(j.direction)}"/>\n{"" if kind == "continuous" else limit}{mimic}{losses}'
         "  </joint>\n"
     )

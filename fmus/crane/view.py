@@ -276,10 +276,6 @@ def _cylinder(j: JointDescription) -> dict[str, Any]:
     }
 
 
-def _point(j: JointDescription, of: str) -> Array:
-    return np.array([j[f"{of}_{n}"] for n in "xyz"])
-
-
 def _tip(crane: CraneDescription) -> Array:
     return np.array([crane.numbers["payload"][f"tip_{n}"].value for n in "xyz"])
 
@@ -287,7 +283,7 @@ def _tip(crane: CraneDescription) -> Array:
 def _reach(crane: CraneDescription) -> float:
     """Length of the stretched crane [m]."""
     strokes = sum(j["stroke"] for j in crane.driven if not j.revolute)
-    return sum(math.hypot(*_point(j, "at")) for j in crane.joints) + math.hypot(*_tip(crane)) + strokes
+    return sum(math.hypot(*j.vector("at")) for j in crane.joints) + math.hypot(*_tip(crane)) + strokes
 
 
 def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
@@ -298,10 +294,10 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
         "ground", "z", (PEDESTAL, PEDESTAL, first["at_z"] or 0.1), (first["at_x"], first["at_y"], 0), "steel"
     )
     for k, j in enumerate(crane.joints):
-        ends = [_point(other, "at") for other in crane.joints if other.parent == j.name]
+        ends = [other.vector("at") for other in crane.joints if other.parent == j.name]
         if j is last:
             ends.append(_tip(crane))
-        ends = ends or [2 * _point(j, "centre")]
+        ends = ends or [2 * j.vector("centre")]
         thick, colour = max(depth * TAPER**k, LEAST), "edge" if k % 2 else "body"
         if j.shape:
             yield {"body": j.name, "kind": "mesh", "file": _mesh(j), "colour": colour}
@@ -324,9 +320,9 @@ def _inside(crane: CraneDescription, j: JointDescription) -> float:
     """Length of a stage of a telescope behind its joint [m]: its stroke, as far as there is room."""
     led = crane.joint(j.follows) if j.follows else j
     ratio = j["ratio"] if j.follows else 1.0
-    stroke = ratio * led["stroke"] if "stroke" in led.numbers else 2 * math.hypot(*_point(j, "centre"))
+    stroke = ratio * led["stroke"] if "stroke" in led.numbers else 2 * math.hypot(*j.vector("centre"))
     before = crane.joint(j.parent) if j.parent else None
-    room = math.hypot(*_point(j, "at"))
+    room = math.hypot(*j.vector("at"))
     room += _inside(crane, before) if before and not before.revolute else 0.0
     return min(stroke + 0.1, room or stroke)
 
@@ -335,14 +331,10 @@ def _pins(crane: CraneDescription, j: JointDescription) -> Iterator[Array]:
     """Pins on the link of a joint, in its plane: of its own drive and of the drives behind it."""
     turned = [other for other in crane.joints if other.revolute and other.cylinder]
     if j in turned:
-        yield _pin(j, "link" if j.four_bar else "pin")
+        yield j.vector("link" if j.four_bar else "pin", "xz")
     for other in (other for other in turned if other.parent == j.name):
         for pin in ("base", "pivot") if other.four_bar else ("base",):
-            yield _pin(other, "at") + _pin(other, pin)
-
-
-def _pin(j: JointDescription, of: str) -> Array:
-    return np.array([j[f"{of}_{n}"] for n in "xz"])
+            yield other.vector("at", "xz") + other.vector(pin, "xz")
 
 
 def _beam(body: str, begin: Array, end: Array, thick: float, colour: str) -> Iterator[dict[str, Any]]:
