@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 def ours(rise: Array, stroke: Array, celsius: float = 60.0) -> Array:
     """Overall efficiency of a pump of the supply at its rated speed."""
     pump = engine_and_pump.at_viscosity(
-        parameters(SUPPLY).pumps[0], float(oil.viscosity_ratio(celsius + 273.15))
+        parameters(SUPPLY).pumps["pump_1"], float(oil.viscosity_ratio(celsius + 273.15))
     )
     flow = engine_and_pump.suction_flow(pump, stroke, SPEED) - pump.leakage * rise
     friction = np.array([float(engine_and_pump.pump_friction(pump, SPEED, p)) for p in rise.ravel()])

@@ -25,12 +25,11 @@ part.
 import difflib
 import hashlib
 import json
-import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 from fmus.contract import G, Quantity, Subsystem, nested, quantities
 from orchestrator.base import toml
@@ -45,8 +44,17 @@ SOURCES = {
     "assumed": "a free choice",
     "identified": "fitted to measurements",
 }
-KEYS = {"value": (int, float), "unit": str, "source": str, "note": str, "sd": (int, float)}
-LISTED = ("value", "sd")  # keys whose value may be a list
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A table of the file; value and sd of a list are those of one of its entries."""
+
+    value: float
+    unit: str
+    source: Annotated[str, toml.Rule(f"one of {', '.join(SOURCES)}", SOURCES.__contains__)]
+    note: str
+    sd: Annotated[float, toml.NOT_NEGATIVE] | None = None
 
 
 @dataclass(frozen=True)
@@ -171,23 +179,8 @@ def _number(path: Path, section: str, name: str, entry: Any) -> Number:
     where = f"{path}: [{section}.{name}]"
     if not isinstance(entry, dict):
         raise Problem(f"{where} is {entry!r}, expected a table with value, unit, source, note")
-    for key, value in entry.items():
-        if key not in KEYS:
-            raise Problem(f"{where} has unknown key {key!r}, expected {', '.join(KEYS)}")
-        if not isinstance(value, KEYS[key]) or isinstance(value, bool):  # type: ignore[arg-type]
-            raise Problem(
-                f"{where} {key} is {value!r}, expected {'a number' if key in ('value', 'sd') else 'text'}"
-            )
-    missing = [key for key in ("value", "unit", "source", "note") if key not in entry]
-    if missing:
-        raise Problem(f"{where} lacks {', '.join(missing)}")
-    if entry["source"] not in SOURCES:
-        raise Problem(f"{where} source is {entry['source']!r}, expected one of {', '.join(SOURCES)}")
-    if not toml.is_number(entry["value"]):
-        raise Problem(f"{where} value is {entry['value']}, expected a finite number")
-    if not 0 <= entry.get("sd", 0) < math.inf:
-        raise Problem(f"{where} sd is {entry['sd']}, expected 0 or more")
-    return Number(float(entry["value"]), entry["unit"], entry["source"], entry["note"], entry.get("sd"))
+    e = toml.read_dataclass(_Entry, toml.Table(where, entry))
+    return Number(e.value, e.unit, e.source, e.note, e.sd)
 
 
 def numbers(sub: Subsystem, path: Path | None = None) -> Tables:

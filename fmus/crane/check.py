@@ -21,7 +21,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -33,7 +33,7 @@ from fmus.contract import Subsystem, nested, quantities, symbolic
 from fmus.crane.description import (
     DEFAULT,
     DRIVES,
-    INERTIAS,
+    INERTIA,
     LARGEST_LENGTH,
     TABLES,
     CraneDescription,
@@ -41,7 +41,7 @@ from fmus.crane.description import (
 )
 from fmus.crane.manipulator import contacts, manipulator
 from fmus.joints import Mechanics
-from fmus.parameters import Number, Values, values
+from fmus.parameters import Number, values
 from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import Array
@@ -61,6 +61,36 @@ SHARES = (0.4, 0.7, 1.0)  # of the largest reach, for which loads are printed
 SUPPLIES = {"lumped": "ideal", "compensated": "load_sensing"}  # of the drives whose speeds are told
 # fidelity -> speeds with the piston out and in [rad/s or m/s], and of the oil in a hose [m/s]
 Speeds: TypeAlias = Mapping[str, tuple[float, float, float]]
+
+
+@dataclass(frozen=True)
+class Start:
+    """Of a crane: its mechanics, their parameters, coordinates of the joints as the file has them."""
+
+    mechanics: Mechanics
+    p: Any
+    q: ca.SX
+
+    @classmethod
+    def of(cls, crane: CraneDescription) -> Start:
+        """The start of a crane."""
+        sub = manipulator(crane)
+        p, of = values(sub).p, sub.model
+        return cls(
+            of, nested(of.parameters, p), ca.SX(ca.DM([p[f"initial_{j.coordinate}"] for j in of.free]))
+        )
+
+    def inertia(self, joint: JointDescription) -> float:
+        """M_ii [kg.m2 or kg] without payload."""
+        of, k = self.mechanics, self.mechanics.index(joint.name)
+        motion = of.chain(self.p).equations(self.q, 0 * self.q, of.payload(0, self.p))
+        return float(ca.evalf(motion.mass[k, k]))
+
+    def transmission(self, joint: JointDescription) -> ca.Function:
+        """q -> position, lever."""
+        q = ca.SX.sym("q")
+        t = self.mechanics.transmission(joint.name, q, self.p)
+        return ca.Function("transmission", [q], [t.position, ca.SX(t.arm)])
 
 
 @dataclass(frozen=True)
@@ -192,14 +222,12 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
     used = taken() if start is None else {}
     if wrong := [(j.name, used[j.name]) for j in crane.joints if j.name in used]:
         raise Mistakes([f"{crane.file}: [{n}] expected another name of the joint: {why}" for n, why in wrong])
-    sub = manipulator(crane)
-    of, v = sub.model, values(sub)
-    load = crane.numbers["payload"]["payload_mass"].value
-    start = outputs_at_start(sub, load) if start is None else start
+    load, pose = crane.numbers["payload"]["payload_mass"].value, Start.of(crane)
+    start = outputs_at_start(manipulator(crane), load) if start is None else start
     found, mistakes = list[AxisCheck](), list[str]()
     for joint in crane.driven:
         try:
-            found.append(_axis(crane, of, joint, v, start))
+            found.append(_axis(crane, pose, joint, start))
         except Problem as problem:
             mistakes.append(f"{crane.file}: [{joint.name}] {problem}")
     ground, tip = crane.numbers["ground"].get("ground_height"), start["tip_height"]
@@ -220,22 +248,18 @@ def outputs_at_start(sub: Subsystem, payload: float = 0.0) -> Mapping[str, float
 
 
 def _axis(
-    crane: CraneDescription,
-    of: Mechanics,
-    joint: JointDescription,
-    v: Values,
-    start: Mapping[str, float],
+    crane: CraneDescription, pose: Start, joint: JointDescription, start: Mapping[str, float]
 ) -> AxisCheck:
     pressure = crane.numbers["supply"]["pressure_setting"].value
     hose = math.pi / 4 * joint["hose_bore"] ** 2 * joint["hose_length"]
-    if joint.drive == "motor":
+    if joint.motor:
         high = joint["stop_at"] if "stop_at" in joint.numbers else math.inf
         low, levers, lever = -high, (1.0, 1.0), 1.0
         head = rod = joint["motor_displacement"] * joint["gear_ratio"]
         sizes, effort, larger = (joint["motor_volume"],) * 2, "torque", "a larger motor, more ratio"
     else:
-        low, high, levers = _range(of, joint, v)
-        position, lever = map(float, _transmission(of, joint, v)(joint.start.value))
+        low, high, levers = _range(pose, joint)
+        position, lever = map(float, pose.transmission(joint)(joint.start.value))
         head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
         sizes = volumes(position, joint["stroke"], head, rod, joint["dead_volume"])
         effort, larger = "force", "a larger bore, a larger lever"
@@ -246,32 +270,17 @@ def _axis(
             f"holds the arm at the start with {holding / 1e5:.0f} bar, expected at most the supply's "
             f"{pressure / 1e5:.0f} bar: {larger}, or another start pose"
         )
-    modulus, inertia = crane.numbers["oil"]["bulk_modulus"].value, _inertia(of, joint, v)
+    modulus, inertia = crane.numbers["oil"]["bulk_modulus"].value, pose.inertia(joint)
     of_head, of_rod = ((x + hose) / modulus for x in sizes)
     mode = math.sqrt((head**2 / of_head + rod**2 / of_rod) * lever**2 / inertia) / (2 * math.pi)
     forces = (pressure * head, pressure * rod)
     return AxisCheck(joint, low, high, levers, *forces, holding, lever, inertia, mode)
 
 
-def _inertia(of: Mechanics, joint: JointDescription, v: Values) -> float:
-    """M_ii [kg.m2 or kg] at the start pose without payload."""
-    p, q = nested(of.parameters, v.p), _coordinates(of, v)
-    motion = of.chain(p).equations(q, 0 * q, of.payload(0, p))
-    return float(ca.evalf(motion.mass[of.index(joint.name), of.index(joint.name)]))
-
-
-def _coordinates(of: Mechanics, v: Values) -> ca.SX:
-    """Coordinates of the joints at the start, as the file has them."""
-    return ca.SX(ca.DM([v.p[f"initial_{j.coordinate}"] for j in of.free]))
-
-
 def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     """Loads over the strokes of all pistons; a crane without one holds no load."""
-    sub = manipulator(crane)
-    of, v = sub.model, values(sub)
-    p = nested(of.parameters, v.p)
-    axes = [a for a in found if a.joint.drive != "motor"]
-    s, q = ca.SX.sym("s", len(axes)), _coordinates(of, v)
+    start, axes = Start.of(crane), [a for a in found if a.joint.cylinder]
+    of, p, s, q = start.mechanics, start.p, ca.SX.sym("s", len(axes)), ca.SX(start.q)
     for k, a in enumerate(axes):
         q[of.index(a.joint.name)] = s[k]
     chain = of.chain(p)
@@ -310,21 +319,14 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
 
 def lifting_moment(found: Sequence[AxisCheck]) -> float:
     """Gross: largest moment of the first cylinder about its joint [N.m], 0 without one."""
-    first = next((a for a in found if a.joint.kind == "revolute" and a.joint.drive != "motor"), None)
+    first = next((a for a in found if a.joint.revolute and a.joint.cylinder), None)
     return first.push * first.levers[1] if first else 0.0
 
 
-def _transmission(of: Mechanics, joint: JointDescription, v: Values) -> ca.Function:
-    """q -> position, lever."""
-    q, p = ca.SX.sym("q"), nested(of.parameters, v.p)
-    t = of.transmission(joint.name, q, p)
-    return ca.Function("transmission", [q], [t.position, ca.SX(t.arm)])
-
-
-def _range(of: Mechanics, joint: JointDescription, v: Values) -> tuple[float, float, tuple[float, float]]:
+def _range(pose: Start, joint: JointDescription) -> tuple[float, float, tuple[float, float]]:
     """Ends of the coordinate over the stroke, least and largest lever."""
-    unit, scale = ("deg", 180 / math.pi) if joint.kind == "revolute" else ("mm", 1e3)
-    function, step = _transmission(of, joint, v), STEP[joint.kind]
+    unit, scale = ("deg", 180 / math.pi) if joint.revolute else ("mm", 1e3)
+    function, step = pose.transmission(joint), STEP[joint.kind]
     first, lever = (float(x) for x in function(joint.start.value))
     at = f"start {scale * joint.start.value:.4g} {unit}"
     if not math.isfinite(first):
@@ -381,11 +383,11 @@ def table(
 def _doubts(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str]:
     """What is possible but seldom meant."""
     for j in crane.joints:
-        weightless = not (j["stiffness"] or any(j[f"inertia_{n}"] for n in INERTIAS))
-        if j["mass"] == 0 and (weightless or j.drive in ("cylinder", "four-bar")):
+        weightless = not (j["stiffness"] or any(j[n] for n in INERTIA))
+        if j["mass"] == 0 and (weightless or j.cylinder):
             yield f"[{j.name}] has no mass"
         rubs = j["damping"] or any(contacts(j))
-        if j.drive == "none" and not j.follows and not rubs:
+        if not j.driven and not j.follows and not rubs:
             yield f"[{j.name}] passive, without damping and friction: it swings for ever"
         if "cushion" in j.additions:
             yield f"[{j.name}] cushion: not in quasistatic and compensated drives, which have no oil columns"
@@ -402,15 +404,13 @@ def _assumed(crane: CraneDescription) -> Iterator[str]:
     """Numbers that the description does not have: of joints and tables, and of the paper's machine."""
     from fmus.crane.machine import borrowed
 
-    keys = {
-        n: f"{table}.{key}" for table, rules in DRIVES.items() for key, r in rules.items() for n in r.names
-    }
+    keys = {n: f"{table}.{key}" for table, rules in DRIVES.items() for key, r in rules.items() for n in r}
     for j in crane.driven:
         own = [(keys[n], x) for n, x in j.numbers.items() if n in keys and x.note == DEFAULT and x.value]
         own = [(key, x) for key, x in own if key != "hydraulics.drop"]
         yield from _listed(f"[{j.name}]", own)
     for table, numbers in crane.numbers.items():
-        own = [(key, numbers[n]) for key, r in TABLES[table].items() for n in r.names if n in numbers]
+        own = [(key, numbers[n]) for key, r in TABLES[table].items() for n in r if n in numbers]
         yield from _listed(f"[{table}]", [(key, x) for key, x in own if x.note == DEFAULT and x.value])
     for part, some in borrowed(crane).items() if crane.driven else ():
         yield from _listed(f"{part}, as of the paper's machine:", [*some.items()])
@@ -445,11 +445,9 @@ def _compared(
 
 def drawing(crane: CraneDescription, loads: Capacity) -> Figure:
     """Side view: the working range of the tip, coloured by the load that can be held; the start pose."""
-    sub = manipulator(crane)
-    of, v = sub.model, values(sub)
-    p = nested(of.parameters, v.p)
-    chain, load = of.chain(p), of.payload(0, p)
-    q = of.at_rest(_coordinates(of, v), 0, p)
+    start = Start.of(crane)
+    of, p = start.mechanics, start.p
+    chain, load, q = of.chain(p), of.payload(0, p), of.at_rest(start.q, 0, p)
     frames = [np.array(ca.evalf(f.origin)).ravel() for f in chain.frames(q)]
     points = {j.name: frames[k] for k, j in enumerate(crane.joints)} | {"": np.zeros(3)}
     cells, ends = _cells(loads)
@@ -460,14 +458,11 @@ def drawing(crane: CraneDescription, loads: Capacity) -> Figure:
     figure.colorbar(shown, ax=axes, label="load that can be held [kg]", extend="max")
     tip = np.array(ca.evalf(chain.position(q, load.link, load.at))).ravel()
     bars = [(points[j.parent], points[j.name]) for j in crane.joints] + [(points[crane.payload_on], tip)]
-    for begin, end in bars:
-        axes.plot(
-            *([math.copysign(math.hypot(x[0], x[1]), x[0]) for x in (begin, end)], [begin[2], end[2]]),
-            color="black",
-            lw=2.5,
-        )
-    for joint in points.values():
-        axes.plot(math.copysign(math.hypot(joint[0], joint[1]), joint[0]), joint[2], "o", color="black", ms=4)
+    drawn: Mapping[str, Sequence[Sequence[Array]]] = {"-": bars, "o": [[x] for x in points.values()]}
+    for style, lines in drawn.items():
+        for line in lines:
+            reach = [math.copysign(math.hypot(x, y), x) for x, y, _ in line]
+            axes.plot(reach, [x[2] for x in line], style, color="black", lw=2.5, ms=4)
     axes.set_aspect("equal")
     return figure
 
@@ -483,11 +478,8 @@ def _cells(loads: Capacity) -> tuple[Array, tuple[Array, Array]]:
 
 
 def _row(a: AxisCheck, speeds: Speeds | None) -> list[str]:
-    revolute = a.joint.kind == "revolute"
-    unit, scale, digits = ("deg", 180 / math.pi, 1) if revolute else ("m", 1.0, 2)
-    force, lever = (
-        ("kN.m", "1") if a.joint.drive == "motor" else ("kN", f"{a.levers[0]:.3f} to {a.levers[1]:.3f} m")
-    )
+    unit, scale, digits = ("deg", 180 / math.pi, 1) if a.joint.revolute else ("m", 1.0, 2)
+    force, lever = ("kN.m", "1") if a.joint.motor else ("kN", "{:.3f} to {:.3f} m".format(*a.levers))
     low, high = (round(scale * x, digits) + 0.0 for x in (a.low, a.high))  # no -0.0
     ends = f"{low:.{digits}f} to {high:.{digits}f} {unit}" if math.isfinite(low) else "no end"
     moving = list[str]()

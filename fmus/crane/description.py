@@ -19,23 +19,24 @@ import numpy as np
 from fmus.boom_stick import BOOM_STICK
 from fmus.components.additions import Accumulator, Addition, ChamberReliefs, Cushion, Regeneration
 from fmus.components.chain import Axis
-from fmus.contract import quantities
+from fmus.components.chamber import BulkModulus, Liquid
+from fmus.components.cylinder import Cylinder
+from fmus.components.hose import HoseSize
+from fmus.components.spool_valve import Valve
+from fmus.contract import Quantity, quantities
+from fmus.drives.motor import MotorSize
 from fmus.manipulator import MANIPULATOR
+from fmus.manipulator.friction import JointContact, PistonContact
 from fmus.parameters import SOURCES, Number
 from fmus.parameters import numbers as numbers_of
+from fmus.supply import SUPPLY
 from orchestrator.base import toml
 from orchestrator.base.errors import Mistakes, Problem, suggest
 from orchestrator.base.files import Location, write_whole
 from orchestrator.base.units import Unit, number_and_unit, parse_unit
 from orchestrator.data import gltf
+from orchestrator.data.table import Array
 
-# tables of a joint by its drive
-USED: Mapping[str, tuple[str, ...]] = {
-    "none": (),
-    "motor": ("motor", "hydraulics"),
-    "cylinder": ("cylinder", "hydraulics"),
-    "four-bar": ("cylinder", "four_bar", "hydraulics"),
-}
 AXES = get_args(Axis)
 Assembly: TypeAlias = Literal["above", "below"]
 LARGEST_LENGTH = 100.0  # m
@@ -43,90 +44,163 @@ MOST_JOINTS = 60  # whose equations are made in some seconds
 INERTIAS = ("xx", "yy", "zz", "xy", "xz", "yz")
 SYMMETRIC = ((0, 3, 4), (3, 1, 5), (4, 5, 2))  # place of each entry of a matrix in INERTIAS
 LARGEST_SHARE = 1 + 1e-6  # of a principal moment of inertia in the sum of the two others, with rounding
+TURN = 2 * math.pi
+UNITS = {"revolute": ("rad", "N.m"), "prismatic": ("m", "N")}  # of coordinate and effort
+ENDS = {"revolute": TURN, "prismatic": LARGEST_LENGTH}  # largest coordinate
 
 
-@dataclass(frozen=True)
-class Key:
-    """A quantity in the file.
-
-    names      of the parameters that it gives, one or several
-    default    of each if the key is missing; None: the key is required
-    low, high  bounds; a positive quantity has a `low` above 0
-    """
-
-    unit: str
-    names: tuple[str, ...]
-    default: float | None = 0.0
-    low: float = -math.inf
-    high: float = math.inf
+class _Hydraulics(Cylinder, MotorSize, Liquid, BulkModulus, valve=Valve, hose=HoseSize):
+    """Parameters of drives and their oil that a file has."""
 
 
-def _length(*names: str, default: float | None = 0.0, low: float = -LARGEST_LENGTH) -> Key:
-    return Key("m", names, default, low, LARGEST_LENGTH)
+# parameters that parts of the machine declare; the stroke of a cylinder is one of the manipulator, too
+DECLARED = {n: q for g in (_Hydraulics, SUPPLY.parameters) for n, q in quantities(g).items() if n != "stroke"}
+# a key of a table of the file: the parameters that it gives, one or several of one unit and bounds, which are
+# those of the file; `value` of each if the key is missing; None: the key is required
+Key: TypeAlias = Mapping[str, Quantity]
+Keys: TypeAlias = Mapping[str, Key]
+Given: TypeAlias = Mapping[str, Any]
+Bound: TypeAlias = float | None
 
 
-BODY = {
-    "at": _length("at_x", "at_y", "at_z"),
-    "mass": Key("kg", ("mass",), 0.0, 0.0, 1e6),
-    "centre": _length("centre_x", "centre_y", "centre_z"),
-}
-DRIVES: Mapping[str, Mapping[str, Key]] = {
+def _key(
+    names: str, unit: str, text: str, default: Bound = 0.0, low: Bound = None, high: Bound = None
+) -> Key:
+    """Parameters of the manipulator, "{}" for the joint, or of the check; several along x, y or z."""
+    declared = Quantity(unit, text, minimum=low, maximum=high, value=default)
+    several = " " in names
+    return {n: replace(declared, text=f"{text}, {n[-1]}" if several else text) for n in names.split()}
+
+
+def _length(names: str, text: str, default: Bound = 0.0, low: Bound = -LARGEST_LENGTH) -> Key:
+    return _key(names, "m", text, default, low, LARGEST_LENGTH)
+
+
+def _own(name: str, default: Bound, low: float, high: float) -> Key:
+    """A parameter that a part of the machine declares, with the bounds of the file."""
+    return {name: replace(DECLARED[name], value=default, minimum=low, maximum=high)}
+
+
+def _joint_keys(kind: str) -> Keys:
+    """Keys of a joint itself."""
+    unit, effort = UNITS[kind]
+    spring = "Stiffness of the spring in the {} joint, which is without force at 0"
+    dry = {"coulomb": replace(quantities(JointContact)["coulomb"], value=0.0)}
+    return {
+        "at": _length("at_x at_y at_z", "Place of the {} joint in the frame of its parent"),
+        "mass": _key("mass", "kg", "Mass of the {}", 0.0, 0.0, 1e6),
+        "centre": _length("centre_x centre_y centre_z", "Centre of mass of the {} from its joint"),
+        "damping": _key("damping", f"{effort}.s/{unit}", "Viscous friction of the {} joint", 0.0, 0.0),
+        "stiffness": _key("stiffness", f"{effort}/{unit}", spring, 0.0, 0.0),
+        **({"friction": dry} if kind == "revolute" else {}),
+    }
+
+
+def _stop_keys(kind: str) -> Keys:
+    """End stops on both sides of a joint; the defaults of a revolute one are those of the paper's column."""
+    (unit, effort), column = UNITS[kind], numbers_of(MANIPULATOR)["parameters"]
+    names = ("swing_stop_stiffness", "swing_stop_damping")
+    stiffness, damping = (column[n].value if kind == "revolute" else None for n in names)
+    at = "Position of the {} joint, to both sides of 0, at which its end stops begin"
+    spring = "Stiffness of the end stops of the {} joint"
+    law = "Contact damping of the end stops of the {} joint (Hunt and Crossley)"
+    return {
+        "at": _key("stop_at", unit, at, None, 1e-3, ENDS[kind]),
+        "stiffness": _key("stop_stiffness", f"{effort}/{unit}", spring, stiffness, 1.0),
+        "damping": _key("stop_damping", f"s/{unit}", law, damping, 0.0),
+    }
+
+
+JOINTS, STOPS = ({kind: keys(kind) for kind in UNITS} for keys in (_joint_keys, _stop_keys))
+RATIO = {"ratio": _key("ratio", "1", "Motion of the {} over that of the joint that it follows", 1.0)}
+DRIVES: Mapping[str, Keys] = {
     "cylinder": {
-        "base": _length("base_x", "base_z", default=None),
-        "pin": _length("pin_x", "pin_z", default=None),
-        "closed": _length("closed_length", default=None, low=0.05),
-        "stroke": _length("stroke", default=None, low=0.01),
-        "bore": Key("m", ("bore",), None, 0.01, 0.5),
-        "rod": Key("m", ("rod",), None, 0.005, 0.5),
-        "dead_volume": Key("m3", ("dead_volume",), 3e-4, 1e-6, 0.1),
-        "damping": Key("N.s/m", ("piston_damping",), 2e4, 0.0),
-        "friction": Key("N", ("piston_coulomb",), 0.0, 0.0),
+        "base": _length("base_x base_z", "Base pin of the {} cylinder from the joint", None),
+        "pin": _length("pin_x pin_z", "Rod pin of the {} cylinder from the joint", None),
+        "closed": _length("closed_length", "Pin-to-pin length of the closed {} cylinder", None, 0.05),
+        "stroke": _length("stroke", "Stroke of the {} cylinder", None, 0.01),
+        "bore": _own("bore", None, 0.01, 0.5),
+        "rod": _own("rod", None, 0.005, 0.5),
+        "dead_volume": _own("dead_volume", 3e-4, 1e-6, 0.1),
+        "damping": _key("piston_damping", "N.s/m", "Viscous friction of the {} cylinder's piston", 2e4, 0.0),
+        "friction": {"piston_coulomb": replace(quantities(PistonContact)["coulomb"], value=0.0)},
     },
     "four_bar": {
-        "pivot": _length("pivot_x", "pivot_z", default=None),
-        "rocker": _length("rocker", default=None, low=0.01),
-        "coupler": _length("coupler", default=None, low=0.01),
-        "pin": _length("link_x", "link_z", default=None),
+        "pivot": _length("pivot_x pivot_z", "Pin of the rocker of the {} from the joint", None),
+        "rocker": _length("rocker", "Length of the rocker of the {}", None, 0.01),
+        "coupler": _length("coupler", "Length of the coupler of the {}", None, 0.01),
+        "pin": _length("link_x link_z", "Pin of the coupler on the {} from the joint", None),
     },
     "motor": {
-        "displacement": Key("m3/rad", ("motor_displacement",), None, 1e-8, 1e-2),
-        "ratio": Key("1", ("gear_ratio",), 1.0, 1e-3, 1e4),
-        "volume": Key("m3", ("motor_volume",), 2e-4, 1e-6, 0.1),
+        "displacement": _own("motor_displacement", None, 1e-8, 1e-2),
+        "ratio": _own("gear_ratio", 1.0, 1e-3, 1e4),
+        "volume": _own("motor_volume", 2e-4, 1e-6, 0.1),
     },
     "hydraulics": {
-        "valve": Key("m2", ("valve_area",), 4e-5, 1e-8, 1e-2),
-        "flow": Key("m3/s", ("rated_flow",), 0.0, 0.0, 0.1),
-        "drop": Key("Pa", ("rated_drop",), 3.5e6, 1e4, 1e8),
-        "dead_band": Key("V", ("valve_dead_band",), 0.6, 0.0, 9.0),
-        "rounding": Key("V", ("valve_command_rounding",), 0.4, 1e-3, 9.0),
-        "leakage": Key("m3/(s.Pa)", ("valve_leakage",), 1.6e-14, 1e-17, 1e-9),
-        "hose": _length("hose_length", default=3.0, low=0.01),
-        "hose_bore": Key("m", ("hose_bore",), 0.01905, 1e-3, 0.2),
+        "valve": _own("valve_area", 4e-5, 1e-8, 1e-2),
+        "flow": _key("rated_flow", "m3/s", "Flow through the open valve", 0.0, 0.0, 0.1),
+        "drop": _key("rated_drop", "Pa", "Pressure drop over one of its edges then", 3.5e6, 1e4, 1e8),
+        "dead_band": _own("valve_dead_band", 0.6, 0.0, 9.0),
+        "rounding": _own("valve_command_rounding", 0.4, 1e-3, 9.0),
+        "leakage": _own("valve_leakage", 1.6e-14, 1e-17, 1e-9),
+        "hose": _own("hose_length", 3.0, 0.01, LARGEST_LENGTH),
+        "hose_bore": _own("hose_bore", 0.01905, 1e-3, 0.2),
     },
+}
+INERTIA = {
+    f"inertia_{n}": Quantity("kg.m2", f"Moment of inertia {n} of the {{}} about its centre of mass")
+    for n in INERTIAS
+}
+
+
+def _of_joint(kind: str) -> dict[str, Quantity]:
+    """Parameters of a joint in the manipulator."""
+    tables = (JOINTS[kind], STOPS[kind], DRIVES["cylinder"], DRIVES["four_bar"], RATIO)
+    keys = (key for table in tables for key in table.values())
+    return INERTIA | {n: q for key in keys for n, q in key.items() if n not in DECLARED}
+
+
+OF_JOINT = {kind: _of_joint(kind) for kind in UNITS}
+# tables of a joint by its drive
+USED: Mapping[str, tuple[str, ...]] = {
+    "none": (),
+    "motor": ("motor", "hydraulics"),
+    "cylinder": ("cylinder", "hydraulics"),
+    "four-bar": ("cylinder", "four_bar", "hydraulics"),
 }
 # keys of a cylinder that a drive does not have: the rocker's end is its pin; it lies along a telescope
 UNUSED = {"four-bar": ("pin",), "telescope": ("base", "pin", "closed")}
-TABLES: Mapping[str, Mapping[str, Key]] = {
-    "base": {n: Key("rad", (f"base_{n}",), 0.0, -1.5, 1.5) for n in ("pitch", "roll")},
+BASE, TIP = "Slope of the base: the", "Tip, where the payload is, from the joint of its link"
+TABLES: Mapping[str, Keys] = {
+    "base": {
+        "pitch": _key("base_pitch", "rad", f"{BASE} front is lower by this angle", 0.0, -1.5, 1.5),
+        "roll": _key("base_roll", "rad", f"{BASE} right side is lower by this angle", 0.0, -1.5, 1.5),
+    },
     "payload": {
-        "at": _length("tip_x", "tip_y", "tip_z", default=None),
-        "length": _length("load_length", low=0.0),
-        "mass": Key("kg", ("payload_mass",), 0.0, 0.0, 1e6),
+        "at": _length("tip_x tip_y tip_z", TIP, None),
+        "length": _length("load_length", "Length of the payload, a slender bar; 0: a point mass", 0.0, 0.0),
+        "mass": _key("payload_mass", "kg", "Payload held from the start", 0.0, 0.0, 1e6),
     },
     "ground": {
-        "height": _length("ground_height"),
-        "stiffness": Key("N/m", ("ground_stiffness",), 2e6, 0.0),
-        "damping": Key("s/m", ("ground_damping",), 0.5, 0.0),
-        "friction": Key("1", ("ground_friction",), 0.6, 0.0, 10.0),
+        "height": _length("ground_height", "Height of the ground above the base"),
+        "stiffness": _key("ground_stiffness", "N/m", "Stiffness of the ground under the tip", 2e6, 0.0),
+        "damping": _key(
+            "ground_damping", "s/m", "Contact damping of the ground (Hunt and Crossley)", 0.5, 0.0
+        ),
+        "friction": _key("ground_friction", "1", "Coefficient of friction of the ground", 0.6, 0.0, 10.0),
     },
     "oil": {
-        "density": Key("kg/m3", ("density",), 870.0, 500.0, 1500.0),
-        "viscosity": Key("Pa.s", ("viscosity",), 0.02, 1e-4, 10.0),
-        "bulk_modulus": Key("Pa", ("bulk_modulus",), 1.4e9, 1e8, 1e10),
+        "density": _own("density", 870.0, 500.0, 1500.0),
+        "viscosity": _own("viscosity", 0.02, 1e-4, 10.0),
+        "bulk_modulus": _own("bulk_modulus", 1.4e9, 1e8, 1e10),
     },
     "supply": {
-        "pressure": Key("Pa", ("pressure_setting",), 2.07e7, 1e5, 1e8),
-        "return": Key("Pa", ("reservoir_pressure",), 0.0, 0.0, 1e7),
+        "pressure": _own("pressure_setting", 2.07e7, 1e5, 1e8),
+        "return": _own("reservoir_pressure", 0.0, 0.0, 1e7),
+    },
+    "datasheet": {  # `check` compares
+        "lifting_moment": _key("lifting_moment", "N.m", "Lifting moment, gross", 0.0, 0.0),
+        "reach": _key("reach", "m", "Largest reach", 0.0, 0.0),
     },
 }
 # tables of a joint with a cylinder, and of the supply: components in addition; keys are their quantities
@@ -138,51 +212,27 @@ ADDITIONS: Mapping[str, type[Addition]] = {
 OF_SUPPLY: Mapping[str, type[Addition]] = {"accumulator": Accumulator}
 
 
-def keys_of(table: str, addition: type[Addition]) -> dict[str, Key]:
+def keys_of(table: str, addition: type[Addition]) -> Keys:
     """Keys of the table of an addition."""
-    found = dict[str, Key]()
-    for n, q in quantities(addition).items():
-        low, high = (
-            -math.inf if q.minimum is None else q.minimum,
-            math.inf if q.maximum is None else q.maximum,
-        )
-        found[n] = Key(q.unit, (f"{table}_{n}",), q.value, low, high)
-    return found
+    return {n: {f"{table}_{n}": q} for n, q in quantities(addition).items()}
 
 
-# of a data sheet; `check` compares
-DATASHEET = {
-    "lifting_moment": Key("N.m", ("lifting_moment",), 0.0, 0.0),
-    "reach": Key("m", ("reach",), 0.0, 0.0),
-}
-WORDS = (
-    *("joint", "axis", "parent", "drive", "follows", "ratio", "inertia", "damping", "friction", "stiffness"),
-    *("stop", *ADDITIONS, "shape", "source", "note"),
-)
-TEXTS = ("title", "source", "note")
+# other keys of tables, and of a joint
+WORDS = {"payload": ("on", "along"), "supply": (*OF_SUPPLY,), "datasheet": ("loads",)}
+WORDS |= {"hydraulics": ("part",), "four_bar": ("assembly",)}
+OTHERS = (*RATIO, "friction", "inertia", "stop", *ADDITIONS, "shape", "source", "note")
 WORD, PART = "[a-z][a-z0-9]*", "[a-z][a-z0-9_]*"
 COMPONENTS = (  # names of other components of a machine
     *("manipulator", "supply", "controller", "valve_actuation", "operator_input", "sensors", "diagnosis"),
 )
-OPTIONAL = ("follows",)
 DEFAULT = "default"  # note of a number that the file does not have
-ONE = Number(1.0, "1", "assumed", DEFAULT)
 MEANT = {"m": ("mm", "cm"), "rad": ("deg",)}  # units of a number that is out of range without one
-TURN = 2 * math.pi
 NEW = Path(__file__).with_name("new.toml")  # a crane to begin with
 EXAMPLES = {"m": "350 mm", "rad": "20 deg", "Pa": "207 bar", "m2": "40 mm2", "m3/s": "60 L/min"}
 EXAMPLES |= {"N.m": "120 kN.m", "m3/rad": "160 cm3/rev", "N.s/m": "30 kN.s/m", "kg": "900 kg"}
 # as data sheets write units; a moment in t.m is that of a weight
-SHEETS = {
-    "Nm": "N.m",
-    "kNm": "kN.m",
-    "tm": "t.m",
-    "mt": "t.m",
-    "cc": "cm3",
-    "ccm": "cm3",
-    "U": "rev",
-    "lbs": "lb",
-}
+SHEETS = {"Nm": "N.m", "kNm": "kN.m", "tm": "t.m", "mt": "t.m"}
+SHEETS |= {"cc": "cm3", "ccm": "cm3", "U": "rev", "lbs": "lb"}
 GRAVITY = 9.80665  # m/s2, standard
 
 
@@ -193,7 +243,7 @@ class JointDescription:
     kind       "revolute" or "prismatic"
     axis       in the frame of the parent
     parent     joint whose link carries this one; "": the base
-    follows    joint whose motion this one has, times `ratio`; "": none
+    follows    joint whose motion this one has, times its number `ratio`; "": none
     assembly   of a four-bar: "above" or "below" the line of its pivots
     part       of the machine that has its hydraulics
     numbers    its parameters, without the name of the joint
@@ -209,19 +259,53 @@ class JointDescription:
     numbers: Mapping[str, Number]
     start: Number
     follows: str = ""
-    ratio: Number = ONE
     assembly: Assembly = "above"
-    part: str = ""
+    part: str = "drives"
     shape: Path | None = None
     additions: tuple[str, ...] = ()
 
     @property
     def coordinate(self) -> str:
         """Name of its coordinate."""
-        return f"{self.name}_{'angle' if self.kind == 'revolute' else 'extension'}"
+        return f"{self.name}_{'angle' if self.revolute else 'extension'}"
+
+    @property
+    def direction(self) -> Array:
+        """Of its axis, shape (3,)."""
+        sign = -1.0 if self.axis[0] == "-" else 1.0
+        return np.array([sign if n == self.axis[-1] else 0.0 for n in "xyz"])
+
+    @property
+    def revolute(self) -> bool:
+        """Whether it turns."""
+        return self.kind == "revolute"
+
+    @property
+    def driven(self) -> bool:
+        """Whether it has a drive of its own."""
+        return self.drive != "none"
+
+    @property
+    def motor(self) -> bool:
+        """Whether a motor drives it."""
+        return "motor" in USED[self.drive]
+
+    @property
+    def cylinder(self) -> bool:
+        """Whether a cylinder drives it."""
+        return "cylinder" in USED[self.drive]
+
+    @property
+    def four_bar(self) -> bool:
+        """Whether its cylinder does so over a four-bar linkage."""
+        return "four_bar" in USED[self.drive]
 
     def __getitem__(self, name: str) -> float:
         return self.numbers[name].value
+
+    def vector(self, name: str, axes: str = "xyz") -> Array:
+        """Some of its numbers, along axes, shape (n,)."""
+        return np.array([self[f"{name}_{n}"] for n in axes])
 
 
 @dataclass(frozen=True)
@@ -264,15 +348,15 @@ class CraneDescription:
         while name:
             way.insert(0, self.joint(name))
             name = way[0].parent
-        first = next((k for k, j in enumerate(way) if j.drive != "none"), 0)
-        still = (k for k, j in enumerate(way) if k > first and j.drive in ("none", "motor") and not j.follows)
+        first = next((k for k, j in enumerate(way) if j.driven), 0)
+        still = (k for k, j in enumerate(way) if k > first and not j.cylinder and not j.follows)
         end = next(still, len(way))
         return tuple(way[:end]), way[end] if end < len(way) else None
 
     @property
     def driven(self) -> tuple[JointDescription, ...]:
         """The joints with a drive of their own."""
-        return tuple(j for j in self.joints if j.drive != "none")
+        return tuple(j for j in self.joints if j.driven)
 
 
 @dataclass(frozen=True)
@@ -289,31 +373,31 @@ class _Reader:
         """Note a mistake."""
         self.mistakes.append(f"{self.file}: {f'[{table}] ' if table else ''}{text}")
 
-    def unknown(self, table: str, given: Mapping[str, Any], names: Collection[str]) -> None:
+    def unknown(self, table: str, given: Given, names: Collection[str]) -> None:
         """Note each key that has none of these names."""
         for key in given:
             if key not in names:
                 hint = suggest(key, names) or f"; there are {', '.join(names)}"
                 self.wrong(table, f"unknown key {key!r}{hint}")
 
-    def tables(self, where: str, given: Any) -> Mapping[str, Any]:
-        """A table, empty after a mistake."""
-        if isinstance(given, dict):
-            return given
-        self.wrong(where, f"expected a table, got {given!r}")
-        return {}
+    def tables(self, where: str, given: Given, names: Collection[str]) -> dict[str, Any]:
+        """The content of a table; keys with these names are tables, else they are left out."""
+        wrong = {n: x for n, x in given.items() if n in names and not isinstance(x, dict)}
+        for n, x in wrong.items():
+            self.wrong(f"{where}{n}", f"expected a table, got {x!r}")
+        return {n: x for n, x in given.items() if n not in wrong}
 
     def one_of(
-        self, table: str, given: Mapping[str, Any], key: str, choices: Sequence[str], default: str = ""
+        self, table: str, given: Given, key: str, choices: Collection[str], default: str | None = None
     ) -> str:
         """One of some words; the first one after a mistake."""
         value = given.get(key, default)
-        if value in choices or (value == "" and default == "" and key not in given and key in OPTIONAL):
+        if value in choices or (key not in given and value is not None):
             return str(value)
         hint = suggest(value, choices) if isinstance(value, str) and value else ""
         got = repr(value) if key in given else "nothing"
         self.wrong(table, f"{key}: expected one of {', '.join(choices) or 'none'}, got {got}{hint}")
-        return choices[0] if choices else ""
+        return next(iter(choices), "")
 
     def quantity(self, table: str, key: str, value: Any, unit: str) -> float:
         """A number in SI units; NaN after a mistake."""
@@ -333,70 +417,58 @@ class _Reader:
         self.wrong(table, f"{key}: expected {expected}, got {value!r}")
         return math.nan
 
-    def numbers(self, table: str, given: Mapping[str, Any], keys: Mapping[str, Key]) -> dict[str, Number]:
-        """The parameters of the keys of a table."""
+    def numbers(self, table: str, given: Given, keys: Keys, *others: str) -> dict[str, Number]:
+        """The parameters of the keys of a table, which has no further keys than the others."""
+        self.unknown(table, given, dict.fromkeys((*keys, *others)))
         found = dict[str, Number]()
         for key, rule in keys.items():
             source, note = (self.source, self.note) if key in given else ("assumed", DEFAULT)
-            for n, x in zip(rule.names, self._entries(table, key, given.get(key), rule), strict=True):
-                found[n] = Number(x, rule.unit, source, note)
+            for (n, q), x in zip(rule.items(), self._entries(table, key, given.get(key), rule), strict=True):
+                found[n] = Number(x, q.unit, source, note)
         return found
-
-    def addition(self, where: str, value: Any, keys: Mapping[str, Key]) -> dict[str, Number]:
-        """The parameters of a table that may be missing; none after a mistake."""
-        if not isinstance(value, dict):
-            self.tables(where, value)
-            return {}
-        self.unknown(where, value, keys)
-        return self.numbers(where, value, keys)
 
     def _entries(self, table: str, key: str, value: Any, rule: Key) -> list[float]:
-        size = len(rule.names)
-        shape = f"a list of {size} numbers in {rule.unit}" if size > 1 else f"a number in {rule.unit}"
-        if value is None and rule.default is not None:
-            return [rule.default] * size
+        size, q = len(rule), next(iter(rule.values()))
+        if value is None and q.value is not None:
+            return [q.value] * size
         entries = value if isinstance(value, list) and size > 1 else [value]
         if value is None or len(entries) != size:
+            shape = f"a list of {size} numbers in {q.unit}" if size > 1 else f"a number in {q.unit}"
             self.wrong(table, f"{key}: expected {shape}, got {'nothing' if value is None else repr(value)}")
             return [math.nan] * size
-        found = [self.quantity(table, key, x, rule.unit) for x in entries]
+        found = [self.quantity(table, key, x, q.unit) for x in entries]
+        low = -math.inf if q.minimum is None else q.minimum
+        high = math.inf if q.maximum is None else q.maximum
         for x, given in zip(found, entries, strict=True):
-            if x < rule.low or x > rule.high:
-                self.wrong(table, f"{key}: {_out_of_range(x, given, rule)}")
+            if x < low or x > high:
+                units = () if isinstance(given, str) else MEANT.get(q.unit, ())
+                meant = [u for u in units if low <= x * parse_unit(u).factor <= high]
+                hint = f'; did you mean "{x:g} {meant[0]}"?' if meant else ""
+                self.wrong(table, f"{key}: expected {low:g} to {high:g} {q.unit}, got {given!r}{hint}")
         return found
-
-
-def _out_of_range(value: float, given: Any, rule: Key) -> str:
-    """What was expected, and the unit that may be meant."""
-    units = () if isinstance(given, str) else MEANT.get(rule.unit, ())
-    meant = [u for u in units if rule.low <= value * parse_unit(u).factor <= rule.high]
-    hint = f'; did you mean "{value:g} {meant[0]}"?' if meant else ""
-    return f"expected {rule.low:g} to {rule.high:g} {rule.unit}, got {given!r}{hint}"
 
 
 def read(path: Path, data: bytes | None = None) -> CraneDescription:
     """A crane from its file, or from its content in a system, without meshes; a Problem with all mistakes."""
     content = dict((toml.read_file(path) if data is None else toml.read(path, data)).data)
     reader = _with_origin(_Reader(path, "assumed", "", meshes=data is None), "", content)
-    title, starts = content.pop("title", path.stem), reader.tables("start", content.pop("start", {}))
+    content = reader.tables("", content, (*TABLES, "start"))
+    title, starts = content.pop("title", path.stem), content.pop("start", {})
     for key in ("source", "note"):
         content.pop(key, None)
-    datasheet = reader.tables("datasheet", content.pop("datasheet", {}))
-    reader.unknown("datasheet", datasheet, (*DATASHEET, "loads"))
-    told = {n: x.value for n, x in reader.numbers("datasheet", datasheet, DATASHEET).items()}
-    loads = _loads(reader, datasheet.get("loads", []))
-    given_tables = {*content}
-    tables = {n: reader.tables(n, content.pop(n, {})) for n in TABLES}
-    numbers = {n: reader.numbers(n, given, TABLES[n]) for n, given in tables.items()}
+    tables = {n: content.get(n, {}) for n in TABLES}
+    tables["supply"] = reader.tables("supply.", tables["supply"], OF_SUPPLY)
+    numbers = {n: reader.numbers(n, x, TABLES[n], *WORDS.get(n, ())) for n, x in tables.items()}
     for n in (n for n in OF_SUPPLY if n in tables["supply"]):
-        numbers["supply"] |= reader.addition(f"supply.{n}", tables["supply"][n], keys_of(n, OF_SUPPLY[n]))
-    if "ground" not in given_tables:
+        keys = keys_of(n, OF_SUPPLY[n])
+        numbers["supply"] |= reader.numbers(f"supply.{n}", tables["supply"][n], keys)
+    if "ground" not in content:
         numbers["ground"] = {}
-    for n, given in tables.items():
-        reader.unknown(n, given, (*TABLES[n], *{"payload": ("on", "along"), "supply": OF_SUPPLY}.get(n, ())))
-    names = [n for n, given in content.items() if isinstance(given, dict)]
-    tops = (*TEXTS, *TABLES, "start", "datasheet")
-    reader.unknown("", {n: x for n, x in content.items() if n not in names}, tops)
+    told = {n: x.value for n, x in numbers.pop("datasheet").items()}
+    loads = _loads(reader, tables["datasheet"].get("loads", []))
+    names = [n for n, given in content.items() if isinstance(given, dict) and n not in TABLES]
+    others = {n: x for n, x in content.items() if n not in (*TABLES, *names)}
+    reader.unknown("", others, ("title", "source", "note", *TABLES, "start"))
     density = numbers["oil"]["density"].value
     if len(names) > MOST_JOINTS:
         raise Problem(f"{path}: expected at most {MOST_JOINTS} joints, got {len(names)}")
@@ -419,12 +491,10 @@ def _loads(reader: _Reader, value: Any) -> tuple[tuple[float, float], ...]:
         expected = 'expected a list of pairs, such as [["4 m", "900 kg"]]'
         reader.wrong("datasheet", f"loads: {expected}, got {value!r}")
         return ()
-    units = ("m", "kg")
-    pairs = (
-        (reader.quantity("datasheet", "loads", x, unit) for x, unit in zip(p, units, strict=True))
-        for p in value
+    return tuple(
+        (reader.quantity("datasheet", "loads", reach, "m"), reader.quantity("datasheet", "loads", load, "kg"))
+        for reach, load in value
     )
-    return tuple((reach, load) for reach, load in pairs)
 
 
 def new(path: Path) -> str:
@@ -439,7 +509,7 @@ def new(path: Path) -> str:
     return f"{path}: a crane to begin with. Next: harvester crane check {path}"
 
 
-def _with_origin(reader: _Reader, table: str, given: Mapping[str, Any]) -> _Reader:
+def _with_origin(reader: _Reader, table: str, given: Given) -> _Reader:
     """The reader with source and note of a table."""
     source, note = given.get("source", reader.source), given.get("note", reader.note)
     if source not in SOURCES:
@@ -448,119 +518,82 @@ def _with_origin(reader: _Reader, table: str, given: Mapping[str, Any]) -> _Read
 
 
 def _joint(
-    reader: _Reader,
-    name: str,
-    given: Mapping[str, Any],
-    before: Sequence[str],
-    starts: Mapping[str, Any],
-    density: float,
+    reader: _Reader, name: str, given: Given, before: Sequence[str], starts: Given, density: float
 ) -> JointDescription:
     if not re.fullmatch(WORD, name):
-        expected = (
-            f"a joint name of one word of small letters and digits: its signals are such as {name}_angle"
-        )
-        reader.wrong(name, f"expected {expected}")
+        expected = "a joint name of one word of small letters and digits: its signals are such as"
+        reader.wrong(name, f"expected {expected} {name}_angle")
     reader = _with_origin(reader, name, given)
-    kind = reader.one_of(name, given, "joint", ("revolute", "prismatic"), "revolute")
-    drive = reader.one_of(name, given, "drive", tuple(USED), "none")
-    axis = reader.one_of(name, given, "axis", AXES)
-    parent = reader.one_of(name, given, "parent", (*before, "base"), before[-1] if before else "base")
-    follows = reader.one_of(name, given, "follows", tuple(before))
-    rotational = kind == "revolute"
-    if follows and drive != "none":
-        reader.wrong(name, f"drive: expected none of a joint that follows {follows}, got {drive!r}")
-    if not rotational and drive in ("motor", "four-bar"):
-        reader.wrong(name, f"drive: expected cylinder or none of a prismatic joint, got {drive!r}")
-    if (
-        rotational and drive in ("cylinder", "four-bar") and axis != "-y"
-    ):  # pins are [x, z] in the plane of it
-        reader.wrong(name, f'axis: expected "-y" of a joint with a cylinder, got {axis!r}')
-    damping = Key("N.m.s/rad" if rotational else "N.s/m", ("damping",), 0.0, 0.0)
-    stiffness = Key("N.m/rad" if rotational else "N/m", ("stiffness",), 0.0, 0.0)
-    start = Key("rad", (name,), 0.0, -TURN, TURN) if rotational else _length(name)
-    if "stiffness" in given and (drive != "none" or follows):
-        reader.wrong(name, f"stiffness: expected none of a joint with a drive, got {given['stiffness']!r}")
-    reader.unknown(name, given, (*BODY, *WORDS, *USED[drive]))
-    of_joint = {"damping": damping, "stiffness": stiffness}
-    if rotational:
-        of_joint["friction"] = Key("N.m", ("coulomb",), 0.0, 0.0)
-    elif "friction" in given:
-        reader.wrong(name, "friction: expected none of a prismatic joint: its cylinder has one")
-    numbers = reader.numbers(name, given, {**BODY, **of_joint})
-    if "stop" in given:
-        if follows or drive in ("cylinder", "four-bar"):
-            reader.wrong(name, "stop: expected none of a joint that follows another one or has a cylinder")
-        numbers |= _stop(reader, name, given["stop"], rotational)
-    numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
-    additions = tuple(n for n in ADDITIONS if n in given)
-    for n in additions:
-        if drive not in ("cylinder", "four-bar"):
-            reader.wrong(name, f"{n}: expected a joint with a cylinder, got drive {drive!r}")
-        numbers |= reader.addition(f"{name}.{n}", given[n], keys_of(n, ADDITIONS[n]))
-    part, assembly = "drives", "above"
-    for table in USED[drive]:
-        where, inner = f"{name}.{table}", reader.tables(f"{name}.{table}", given.get(table, {}))
-        own = {"hydraulics": ("part",), "four_bar": ("assembly",)}.get(table, ())
-        left_out = UNUSED.get(drive if rotational else "telescope", ()) if table == "cylinder" else ()
-        keys = {n: rule for n, rule in DRIVES[table].items() if n not in left_out}
-        reader.unknown(where, inner, (*keys, *own))
-        numbers |= reader.numbers(where, inner, keys)
-        if "assembly" in own:
-            assembly = reader.one_of(where, inner, "assembly", ("above", "below"))
-        elif "part" in own:
-            part = inner.get("part", "drives")
-            if not isinstance(part, str) or not re.fullmatch(PART, part) or part in COMPONENTS:
-                expected = f"a name of small letters, digits and _, none of {', '.join(COMPONENTS)}"
-                reader.wrong(where, f"part: expected {expected}, got {part!r}")
-                part = "drives"
-            numbers |= _rated(reader, where, inner, numbers, density)
-    if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
-        rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
-        reader.wrong(
-            f"{name}.cylinder", f"rod: expected thinner than the bore of {bore:g} mm, got {rod:g} mm"
-        )
-    if "closed_length" in numbers:
-        closed, least = (
-            1e3 * x for x in (numbers["closed_length"].value, numbers["stroke"].value + numbers["bore"].value)
-        )
-        if closed < least:
-            expected = f"at least {least:g} mm, the stroke and a bore for piston, gland and eyes"
-            reader.wrong(f"{name}.cylinder", f"closed: expected {expected}, got {closed:g} mm")
-    begin = reader.numbers("start", starts, {name: start})[name]
-    if "stop_at" in numbers and abs(begin.value) > numbers["stop_at"].value:
-        reader.wrong("start", f"{name}: expected between the end stops of the joint, got {starts[name]!r}")
-    return JointDescription(
+    given = reader.tables(f"{name}.", given, ("stop", *ADDITIONS, *DRIVES))
+    words: Mapping[str, tuple[Collection[str], str | None]] = {
+        "joint": (UNITS, "revolute"),
+        "drive": (USED, "none"),
+        "axis": (AXES, None),
+        "parent": ((*before, "base"), before[-1] if before else "base"),
+        "follows": (before, ""),
+    }
+    kind, drive, axis, parent, follows = (reader.one_of(name, given, n, *of) for n, of in words.items())
+    key = _key(name, UNITS[kind][0], "Coordinate at the start", 0.0, -ENDS[kind], ENDS[kind])
+    j = JointDescription(
         name=name,
-        kind="revolute" if rotational else "prismatic",
+        kind=cast(Literal["revolute", "prismatic"], kind),
         axis=cast(Axis, axis),
         parent="" if parent == "base" else parent,
         drive=drive,
-        numbers=numbers,
-        start=begin,
+        numbers={},
+        start=reader.numbers("start", starts, {name: key}, *starts)[name],
         follows=follows,
-        ratio=Number(
-            reader.quantity(name, "ratio", given.get("ratio", 1.0), "1"), "1", reader.source, reader.note
-        ),
-        part=part,
-        assembly=cast(Assembly, assembly),
         shape=_shape(reader, name, given.get("shape")),
-        additions=additions,
+        additions=tuple(n for n in ADDITIONS if n in given),
     )
-
-
-def _stop(reader: _Reader, name: str, value: Any, rotational: bool) -> dict[str, Number]:
-    """End stops on both sides of a joint; the defaults of a revolute one are those of the paper's column."""
-    column = numbers_of(MANIPULATOR)["parameters"]
-    stiffness, damping = (
-        column[f"swing_stop_{n}"].value if rotational else None for n in ("stiffness", "damping")
-    )
-    unit = "rad" if rotational else "m"
-    keys = {
-        "at": Key(unit, ("stop_at",), None, 1e-3, TURN if rotational else LARGEST_LENGTH),
-        "stiffness": Key("N.m/rad" if rotational else "N/m", ("stop_stiffness",), stiffness, 1.0),
-        "damping": Key(f"s/{unit}", ("stop_damping",), damping, 0.0),
-    }
-    return reader.addition(f"{name}.stop", value, keys)
+    if follows and j.driven:
+        reader.wrong(name, f"drive: expected none of a joint that follows {follows}, got {drive!r}")
+    if not j.revolute and (j.motor or j.four_bar):
+        reader.wrong(name, f"drive: expected cylinder or none of a prismatic joint, got {drive!r}")
+    if j.revolute and j.cylinder and axis != "-y":  # pins are [x, z] in the plane of it
+        reader.wrong(name, f'axis: expected "-y" of a joint with a cylinder, got {axis!r}')
+    if "stiffness" in given and (j.driven or follows):
+        reader.wrong(name, f"stiffness: expected none of a joint with a drive, got {given['stiffness']!r}")
+    if "friction" in given and not j.revolute:
+        reader.wrong(name, "friction: expected none of a prismatic joint: its cylinder has one")
+    if "stop" in given and (follows or j.cylinder):
+        reader.wrong(name, "stop: expected none of a joint that follows another one or has a cylinder")
+    for n in () if j.cylinder else j.additions:
+        reader.wrong(name, f"{n}: expected a joint with a cylinder, got drive {drive!r}")
+    numbers = reader.numbers(name, given, JOINTS[kind], *words, *OTHERS, *USED[drive])
+    tables = {"stop": STOPS[kind]} | {n: keys_of(n, a) for n, a in ADDITIONS.items()}
+    for table in (n for n in tables if n in given):
+        numbers |= reader.numbers(f"{name}.{table}", given[table], tables[table])
+    numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
+    for table in USED[drive]:
+        left_out = UNUSED.get(drive if j.revolute else "telescope", ()) if table == "cylinder" else ()
+        keys = {n: key for n, key in DRIVES[table].items() if n not in left_out}
+        numbers |= reader.numbers(f"{name}.{table}", given.get(table, {}), keys, *WORDS.get(table, ()))
+    numbers |= reader.numbers(name, {n: x for n, x in given.items() if n in RATIO}, RATIO)
+    if j.four_bar:
+        linkage, choices = given.get("four_bar", {}), get_args(Assembly)
+        assembly = reader.one_of(f"{name}.four_bar", linkage, "assembly", choices)
+        j = replace(j, assembly=cast(Assembly, assembly))
+    if j.driven:
+        where, hydraulics = f"{name}.hydraulics", given.get("hydraulics", {})
+        numbers |= _rated(reader, where, hydraulics, numbers, density)
+        part = hydraulics.get("part", j.part)
+        if not isinstance(part, str) or not re.fullmatch(PART, part) or part in COMPONENTS:
+            expected = f"a name of small letters, digits and _, none of {', '.join(COMPONENTS)}"
+            reader.wrong(where, f"part: expected {expected}, got {part!r}")
+        j = replace(j, part=str(part))
+    if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
+        rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
+        expected = f"thinner than the bore of {bore:g} mm"
+        reader.wrong(f"{name}.cylinder", f"rod: expected {expected}, got {rod:g} mm")
+    if "closed_length" in numbers:
+        closed, stroke, bore = (1e3 * numbers[n].value for n in ("closed_length", "stroke", "bore"))
+        if closed < stroke + bore:
+            expected = f"at least {stroke + bore:g} mm, the stroke and a bore for piston, gland and eyes"
+            reader.wrong(f"{name}.cylinder", f"closed: expected {expected}, got {closed:g} mm")
+    if "stop_at" in numbers and abs(j.start.value) > numbers["stop_at"].value:
+        reader.wrong("start", f"{name}: expected between the end stops of the joint, got {starts[name]!r}")
+    return replace(j, numbers=numbers)
 
 
 def _shape(reader: _Reader, name: str, value: Any) -> Path | None:
@@ -579,7 +612,7 @@ def _shape(reader: _Reader, name: str, value: Any) -> Path | None:
 
 
 def _rated(
-    reader: _Reader, where: str, given: Mapping[str, Any], read: Mapping[str, Number], density: float
+    reader: _Reader, where: str, given: Given, read: Mapping[str, Number], density: float
 ) -> dict[str, Number]:
     """The area of a valve whose flow at a pressure drop over one edge is given: eq. (2)."""
     if "valve" in given and "flow" in given:
@@ -593,7 +626,6 @@ def _rated(
 
 def _inertia(reader: _Reader, name: str, value: Any, body: Mapping[str, Number]) -> dict[str, Number]:
     """Moments and products of inertia about the centre of mass; "bar": of a slender one from the joint on."""
-    unit, keys = "kg.m2", tuple(f"inertia_{n}" for n in INERTIAS)
     if value == "bar":
         c = [body[f"centre_{n}"].value for n in "xyz"]
         square, of = sum(x * x for x in c), body["mass"].value / 3
@@ -601,17 +633,17 @@ def _inertia(reader: _Reader, name: str, value: Any, body: Mapping[str, Number])
     else:
         some = value if isinstance(value, list) and len(value) in (3, 6) else [math.nan] * 3
         if some is not value:
-            expected = f'"bar", or a list of 3 moments or of {", ".join(INERTIAS)} in {unit}'
+            expected = f'"bar", or a list of 3 moments or of {", ".join(INERTIAS)} in kg.m2'
             reader.wrong(name, f"inertia: expected {expected}, got {value!r}")
-            return {n: Number(math.nan, unit, "assumed", "") for n in keys}
-        found = [reader.quantity(name, "inertia", x, unit) for x in some]
+            return {n: Number(math.nan, q.unit, "assumed", "") for n, q in INERTIA.items()}
+        found = [reader.quantity(name, "inertia", x, "kg.m2") for x in some]
         found += [0.0] * (6 - len(found))
         if np.isfinite(found).all():
             low, middle, high = np.linalg.eigvalsh(np.array(found)[np.array(SYMMETRIC)])
             if high > LARGEST_SHARE * (low + middle):
                 got = f"principal moments {low:.3g}, {middle:.3g}, {high:.3g} kg.m2"
                 reader.wrong(name, f"inertia: {got}: of a body, none is above the sum of the two others")
-    return {n: Number(x, unit, reader.source, reader.note) for n, x in zip(keys, found, strict=True)}
+    return {n: Number(x, "kg.m2", reader.source, reader.note) for n, x in zip(INERTIA, found, strict=True)}
 
 
 def _check_masses(reader: _Reader, joints: Sequence[JointDescription]) -> None:
@@ -622,11 +654,11 @@ def _check_masses(reader: _Reader, joints: Sequence[JointDescription]) -> None:
             if other.name in names or other.parent in names:
                 names.add(other.name)
                 beyond.append(other)
-        if joint.follows or (sum(j["mass"] for j in beyond) > 0 and joint.kind == "prismatic"):
+        if joint.follows or (sum(j["mass"] for j in beyond) > 0 and not joint.revolute):
             continue
         along = joint.axis[-1]
         own = joint[f"inertia_{along}{along}"]
         off = sum(joint[f"centre_{n}"] ** 2 for n in "xyz" if n != along)
         if not own + joint["mass"] * off + sum(j["mass"] for j in beyond[1:]) > 0:
-            what = "inertia about its axis" if joint.kind == "revolute" else "mass"
+            what = "inertia about its axis" if joint.revolute else "mass"
             reader.wrong(joint.name, f"expected {what} at or beyond this joint, got none")

@@ -9,7 +9,6 @@ Validity: rigid links, viscous friction, the pins of a cylinder in the plane of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -20,7 +19,15 @@ from fmus import ports
 from fmus.components.chain import Link, Payload, Vector, gravity_on_slope
 from fmus.components.linkage import Cylinder, Drive, FourBar, Telescope
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities
-from fmus.crane.description import INERTIAS, CraneDescription, JointDescription
+from fmus.crane.description import (
+    INERTIA,
+    OF_JOINT,
+    RATIO,
+    TABLES,
+    UNITS,
+    CraneDescription,
+    JointDescription,
+)
 from fmus.joints import BARS, JointModel, Mechanics
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.manipulator.friction import (
@@ -49,51 +56,13 @@ TIP_FORCE = {
     f"tip_force_{n}": Quantity("N", f"External force on the tip, {text}", 1e3)
     for n, text in (("x", "forward"), ("y", "to the left"), ("z", "upwards"))
 }
-GROUND = {
-    "ground_height": "Height of the ground above the base",
-    "ground_stiffness": "Stiffness of the ground under the tip",
-    "ground_damping": "Contact damping of the ground (Hunt and Crossley)",
-    "ground_friction": "Coefficient of friction of the ground",
-}
-STOPS = ("stop_stiffness", "stop_damping", "stop_rounding")
-SHARED = ("gravity", "payload_grip_time", *STOPS)  # with the values of the paper's machine
+SHARED = (  # with the values of the paper's machine
+    *("gravity", "payload_grip_time", "stop_stiffness", "stop_damping", "stop_rounding"),
+)
 SHOWN = (
     *("tip_x", "tip_y", "tip_radius", "tip_height"),
     *("stop_energy", "kinetic_energy", "potential_energy", "dissipated_power", "payload_power"),
 )
-TEXTS = {  # of the parameters of a joint; "{}" is its name
-    **{f"at_{n}": f"Place of the {{}} joint in the frame of its parent, {n}" for n in "xyz"},
-    "mass": "Mass of the {}",
-    **{f"centre_{n}": f"Centre of mass of the {{}} from its joint, {n}" for n in "xyz"},
-    **{f"inertia_{n}": f"Moment of inertia {n} of the {{}} about its centre of mass" for n in INERTIAS},
-    "damping": "Viscous friction of the {} joint",
-    "stiffness": "Stiffness of the spring in the {} joint, which is without force at 0",
-    "stop_at": "Position of the {} joint, to both sides of 0, at which its end stops begin",
-    "stop_stiffness": "Stiffness of the end stops of the {} joint",
-    "stop_damping": "Contact damping of the end stops of the {} joint (Hunt and Crossley)",
-    **{f"base_{n}": f"Base pin of the {{}} cylinder from the joint, {n}" for n in "xz"},
-    **{f"pin_{n}": f"Rod pin of the {{}} cylinder from the joint, {n}" for n in "xz"},
-    "closed_length": "Pin-to-pin length of the closed {} cylinder",
-    "stroke": "Stroke of the {} cylinder",
-    "piston_damping": "Viscous friction of the {} cylinder's piston",
-    **{f"pivot_{n}": f"Pin of the rocker of the {{}} from the joint, {n}" for n in "xz"},
-    "rocker": "Length of the rocker of the {}",
-    "coupler": "Length of the coupler of the {}",
-    **{f"link_{n}": f"Pin of the coupler on the {{}} from the joint, {n}" for n in "xz"},
-    "ratio": "Motion of the {} over that of the joint that it follows",
-}
-MINIMA = {
-    "mass": 0.0,
-    "damping": 0.0,
-    "stiffness": 0.0,
-    "stop_at": 1e-3,
-    "stop_stiffness": 1.0,
-    "stop_damping": 0.0,
-    "piston_damping": 0.0,
-    "stroke": 1e-3,
-    "rocker": 1e-3,
-    "coupler": 1e-3,
-}
 
 
 class MotorInputs(Group):
@@ -132,74 +101,72 @@ def contacts(joint: JointDescription) -> tuple[str, str]:
     return of_joint, of_piston
 
 
+TEXTS = {n: q.text for n, q in OF_JOINT["revolute"].items()}
+
+
 def numbers_of(joint: JointDescription) -> dict[str, Number]:
     """Numbers of a joint that are parameters of the manipulator; zeros are structure."""
-    some = {n: x for n, x in joint.numbers.items() if n in TEXTS and x.value != 0}
-    return some | ({"ratio": joint.ratio} if joint.follows else {})
+    others = CONTACTS if joint.follows else {**CONTACTS, **RATIO}
+    known = OF_JOINT[joint.kind].keys() - others
+    return {n: x for n, x in joint.numbers.items() if n in known and x.value != 0}
 
 
 def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
     """A joint of a description."""
     own, names = numbers_of(j), [joint.name for joint in crane.joints]
+    nothing = dict.fromkeys(OF_JOINT[j.kind], 0)
 
-    def of(p: Any, *some: str) -> tuple[Scalar, ...]:
-        return tuple(getattr(getattr(p, j.name), n) if n in own else 0 for n in some)
-
-    def one(name: str) -> Callable[[Any], Scalar]:
-        return lambda p: of(p, name)[0]
+    def of(p: Any) -> Any:
+        """Its parameters, 0 where it has none."""
+        return SimpleNamespace(**{**nothing, **{n: getattr(getattr(p, j.name), n) for n in own}})
 
     def link(p: Any) -> Link:
+        o = of(p)
         return Link(
             name=j.name,
             joint=j.kind,
             axis=j.axis,
-            at=_vector(of(p, "at_x", "at_y", "at_z")),
+            at=(o.at_x, o.at_y, o.at_z),
             parent=names.index(j.parent) if j.parent else None,
-            mass=one("mass")(p),
-            centre=_vector(of(p, "centre_x", "centre_y", "centre_z")),
-            inertia=of(p, *(f"inertia_{n}" for n in INERTIAS)),
+            mass=o.mass,
+            centre=(o.centre_x, o.centre_y, o.centre_z),
+            inertia=[getattr(o, n) for n in INERTIA],
             follows=names.index(j.follows) if j.follows else None,
-            ratio=one("ratio")(p) if j.follows else 1,
+            ratio=o.ratio if j.follows else 1,
         )
 
     def drive(p: Any) -> Drive:
-        base, pin, pivot, end = (of(p, f"{n}_x", f"{n}_z") for n in ("base", "pin", "pivot", "link"))
-        closed, rocker, coupler = of(p, "closed_length", *BARS)
-        if j.kind == "prismatic":
+        o = of(p)
+        base, pivot, end = (o.base_x, o.base_z), (o.pivot_x, o.pivot_z), (o.link_x, o.link_z)
+        if not j.revolute:
             return Telescope()
-        if j.drive == "cylinder":
-            return Cylinder(base, pin, closed)
-        return FourBar(base, closed, pivot, rocker, coupler, end, j.assembly)
+        if j.four_bar:
+            return FourBar(base, o.closed_length, pivot, o.rocker, o.coupler, end, j.assembly)
+        return Cylinder(base, (o.pin_x, o.pin_z), o.closed_length)
 
     def stop(p: Any) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-        at, stiffness, damping = of(p, "stop_at", "stop_stiffness", "stop_damping")
-        return at, stiffness, damping, STOP_ROUNDING
+        o = of(p)
+        return o.stop_at, o.stop_stiffness, o.stop_damping, STOP_ROUNDING
 
-    has_cylinder = not j.follows and j.drive in ("cylinder", "four-bar")
     model = JointModel(
         name=j.name,
         coordinate=j.coordinate,
         link=link,
-        damping=one("damping"),
-        stiffness=one("stiffness") if "stiffness" in own else None,
-        motor=j.drive == "motor",
-        drive=drive if has_cylinder else None,
-        piston=(lambda p: (one("stroke")(p), one("piston_damping")(p))) if has_cylinder else None,
+        damping=lambda p: of(p).damping,
+        stiffness=(lambda p: of(p).stiffness) if "stiffness" in own else None,
+        motor=j.motor,
+        drive=drive if j.cylinder else None,
+        piston=(lambda p: (of(p).stroke, of(p).piston_damping)) if j.cylinder else None,
         stop=stop if "stop_at" in own else None,
         stop_shown=f"{j.name}_stop_torque",
         contacts=contacts(j),
         follows=bool(j.follows),
-        rests=not j.follows and j.drive == "none" and (j.kind == "revolute" or "stiffness" in own),
+        rests=not j.follows and not j.driven and (j.revolute or "stiffness" in own),
     )
-    if not has_cylinder:
+    if not j.cylinder:
         return model
     at_start = drive(SimpleNamespace(**{j.name: SimpleNamespace(**{n: x.value for n, x in own.items()})}))
     return replace(model, lever=-1.0 if float(at_start.at(j.start.value).arm) < 0 else 1.0)
-
-
-def _vector(values: Sequence[Scalar]) -> Vector:
-    x, y, z = values
-    return x, y, z
 
 
 def crane_tip(crane: CraneDescription, p: Any) -> tuple[int, Vector]:
@@ -215,7 +182,7 @@ def mechanics(
 ) -> Mechanics:
     """The functions of the subsystem with these groups."""
     names, (way, _) = [j.name for j in crane.joints], crane.arm
-    slew = next((j for j in way if j.drive != "none"), way[0])
+    slew = next((j for j in way if j.driven), way[0])
 
     def payload(mass: Scalar, p: Any) -> Payload:
         across = [(n != crane.along) * p.load_length**2 / 12 for n in "xyz"]
@@ -257,15 +224,15 @@ def manipulator(crane: CraneDescription) -> Subsystem:
     """The subsystem of a crane."""
     parameters, tables = _parameters(crane)
     free = [j for j in crane.joints if not j.follows]
-    pistons = [j for j in free if j.drive in ("cylinder", "four-bar")]
-    motors = [j for j in free if j.drive == "motor"]
-    states, units = dict[str, Quantity](), {"revolute": ("rad", "rad/s"), "prismatic": ("m", "m/s")}
+    pistons, motors = [j for j in free if j.cylinder], [j for j in free if j.motor]
+    coordinates = {
+        j.coordinate: Quantity(j.start.unit, f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}")
+        for j in crane.joints
+    }
+    states = dict[str, Quantity]()
     for j in free:
-        unit, rate = units[j.kind]
-        states[j.coordinate] = Quantity(
-            unit, f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}"
-        )
-        states[f"{j.name}_speed"] = Quantity(rate, f"Speed of the {j.name} joint")
+        states[j.coordinate] = coordinates[j.coordinate]
+        states[f"{j.name}_speed"] = Quantity(f"{j.start.unit}/s", f"Speed of the {j.name} joint")
     held = _of(ManipulatorState, "held_mass", "payload_flow")
     rubbing = [
         (j, name, c) for j in free for name, c in zip(contacts(j), CONTACTS.values(), strict=True) if name
@@ -278,22 +245,16 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         **{j.name: CylinderInputs for j in pistons},
         **{j.name: MotorInputs for j in motors},
     )
-    accelerations = {f"{j.name}_acceleration": ports.rate_output(f"{j.name}_speed", "rad/s2") for j in motors}
-    accelerations |= {
+    shown = {f"{j.name}_acceleration": ports.rate_output(f"{j.name}_speed", "rad/s2") for j in motors}
+    shown |= {
         f"{j.name}_holding_torque": Quantity("N.m", f"Torque that holds the {j.name} against gravity", 1e4)
         for j in motors
     }
-    shown = {
-        j.coordinate: Quantity(
-            units[j.kind][0], f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}"
-        )
-        for j in crane.joints
-        if j.follows
-    }
+    shown |= {n: q for n, q in coordinates.items() if n not in states}
     shown |= {
         f"{j.name}_{bar}_angle": Quantity("rad", f"Angle of the {bar} of the {j.name} in its parent's frame")
         for j in pistons
-        if j.drive == "four-bar"
+        if j.four_bar
         for bar in BARS
     }
     shown |= {
@@ -304,7 +265,7 @@ def manipulator(crane: CraneDescription) -> Subsystem:
     }
     shown |= {
         f"{j.name}_stop_torque": Quantity(
-            "N.m" if j.kind == "revolute" else "N",
+            UNITS[j.kind][1],
             f"Effort of the end stops of the {j.name} joint: zero except at the ends of its range",
             1e4,
             warn_above=1.0,
@@ -326,7 +287,7 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         shown["ground_force"] = Quantity("N", "Normal force of the ground on the tip", 1e4)
     outputs = make_group(
         "Outputs",
-        {**states, **held, **accelerations, **shown, **_of(ManipulatorOutputs, *SHOWN)},
+        {**states, **held, **shown, **_of(ManipulatorOutputs, *SHOWN)},
         **{j.name: CylinderOutputs for j in pistons},
     )
     of = mechanics(crane, parameters, state, inputs, outputs)
@@ -351,18 +312,12 @@ def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
     shipped = numbers(MANIPULATOR)["parameters"]
     found = {n: shipped[n] for n in SHARED}
     members = _of(ManipulatorParameters, *SHARED)
-    for table, key, text in (
-        ("base", "base_pitch", "Slope of the base: the front is lower by this angle"),
-        ("base", "base_roll", "Slope of the base: the right side is lower by this angle"),
-        *(
-            ("payload", f"tip_at_{n}", f"Tip, where the payload is, from the joint of its link, {n}")
-            for n in "xyz"
-        ),
-        ("payload", "load_length", "Length of the payload, a slender bar; 0: a point mass"),
-        *(("ground", n, text) for n, text in GROUND.items() if crane.ground),
-    ):
-        found[key] = crane.numbers[table][key.replace("tip_at", "tip")]
-        members[key] = Quantity(found[key].unit, text, group=table.capitalize())
+    for table in ("base", "payload", "ground"):
+        declared = {n: q for key in TABLES[table].values() for n, q in key.items() if n != "payload_mass"}
+        for n in (n for n in crane.numbers[table] if n in declared):
+            name = n.replace("tip_", "tip_at_")
+            found[name] = crane.numbers[table][n]
+            members[name] = replace(declared[n], group=table.capitalize(), value=None)
     for j in crane.joints:
         if not j.follows:
             name = f"initial_{j.coordinate}"
@@ -372,7 +327,7 @@ def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
     for j in crane.joints:
         own = numbers_of(j)
         declared = {
-            n: Quantity(x.unit, TEXTS[n], max(abs(x.value), 1e-3), MINIMA.get(n), group="{}")
+            n: replace(OF_JOINT[j.kind][n], nominal=max(abs(x.value), 1e-3), value=None, group="{}")
             for n, x in own.items()
         }
         groups[j.name] = make_group("Joint", declared)

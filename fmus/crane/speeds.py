@@ -51,7 +51,7 @@ def _speeds(
 
 def _steady(model: Monolith, a: AxisCheck, pose: Mapping[str, float], sign: float) -> tuple[float, float]:
     """Speed of the joint, and of the oil in its hoses, at full command of a sign."""
-    name, motor = a.joint.name, a.joint.drive == "motor"
+    name, motor = a.joint.name, a.joint.motor
     effort, motion = ("torque", "speed") if motor else ("force", "velocity")
     viscous = a.joint["damping"] + (0.0 if motor else a.lever**2 * a.joint["piston_damping"])
     x, w = ca.SX.sym("x", len(model.states)), ca.SX.sym("w")
@@ -60,7 +60,7 @@ def _steady(model: Monolith, a: AxisCheck, pose: Mapping[str, float], sign: floa
     u = column(*given.values())
     y = dict(zip(model.output_names, ca.vertsplit(model.outputs(x, u, model.p)), strict=True))
     own = f"{a.joint.part}.{name}_"
-    dry = 0.0 if a.joint.kind == "prismatic" else a.joint["coulomb"]
+    dry = a.joint["coulomb"] if a.joint.revolute else 0.0
     dry += 0.0 if motor else abs(a.lever) * a.joint["piston_coulomb"]
     friction = viscous * w + dry * ca.tanh(w / SLIDING)
     torque = a.lever * (y[own + effort] - pose[f"{name}_holding_{effort}"]) - friction

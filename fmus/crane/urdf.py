@@ -18,6 +18,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from lxml import etree
+from scipy.spatial.transform import Rotation
 
 from fmus.crane.check import AxisCheck
 from fmus.crane.description import INERTIAS, MOST_JOINTS, SYMMETRIC, CraneDescription, JointDescription
@@ -51,9 +52,9 @@ def _vector(values: Any) -> str:
 
 def _link(crane: CraneDescription, j: JointDescription) -> str:
     inertia = " ".join(f'i{n}="{j[f"inertia_{n}"]:.17g}"' for n in INERTIAS)
-    ends = [[o[f"at_{n}"] for n in "xyz"] for o in crane.joints if o.parent == j.name]
-    bars = "".join(_bar(np.array(end)) for end in ends if math.hypot(*end) > RADIUS)
-    centre = _vector(j[f"centre_{n}"] for n in "xyz")
+    ends = [o.vector("at") for o in crane.joints if o.parent == j.name]
+    bars = "".join(_bar(end) for end in ends if math.hypot(*end) > RADIUS)
+    centre = _vector(j.vector("centre"))
     return (
         f'  <link name="{j.name}">\n    <inertial>\n      <origin xyz="{centre}"/>\n'
         f'      <mass value="{j["mass"]:.17g}"/>\n      <inertia {inertia}/>\n'
@@ -71,19 +72,18 @@ def _bar(end: Array) -> str:
 
 
 def _joint(j: JointDescription, low: float, high: float) -> str:
-    sign = -1 if j.axis[0] == "-" else 1
-    axis = _vector(sign * (n == j.axis[-1]) for n in "xyz")
     bounded = math.isfinite(high - low)
-    kind = j.kind if bounded or j.kind == "prismatic" else "continuous"
+    kind = "continuous" if j.revolute and not bounded else j.kind
     ends = (low, high) if bounded else (-100.0, 100.0)
     limit = f'    <limit lower="{ends[0]:.9g}" upper="{ends[1]:.9g}" effort="0" velocity="0"/>\n'
-    mimic = f'    <mimic joint="{j.follows}_joint" multiplier="{j.ratio.value:.17g}"/>\n' if j.follows else ""
-    friction = j["coulomb"] if j.kind == "revolute" else 0.0
+    mimic = f'    <mimic joint="{j.follows}_joint" multiplier="{j["ratio"]:.17g}"/>\n' if j.follows else ""
+    friction = j["coulomb"] if j.revolute else 0.0
     losses = f'    <dynamics damping="{j["damping"]:.17g}" friction="{friction:.17g}"/>\n'
     return (
         f'  <joint name="{j.name}_joint" type="{kind}">\n    <parent link="{j.parent or BASE}"/>\n'
-        f'    <child link="{j.name}"/>\n    <origin xyz="{_vector(j[f"at_{n}"] for n in "xyz")}"/>\n'
-        f'    <axis xyz="{axis}"/>\n{"" if kind == "continuous" else limit}{mimic}{losses}  </joint>\n'
+        f'    <child link="{j.name}"/>\n    <origin xyz="{_vector(j.vector("at"))}"/>\n'
+        f'    <axis xyz="{_vector(j.direction)}"/>\n{"" if kind == "continuous" else limit}{mimic}{losses}'
+        "  </joint>\n"
     )
 
 
@@ -247,13 +247,7 @@ def _number(element: Any, name: str, default: float = 0.0) -> float:
 
 def _rotation(origin: Any) -> Array:
     """Of roll, pitch and yaw about fixed axes."""
-    (r, p, y) = _numbers(origin, "rpy", "0 0 0")
-    (a, b), (c, d), (e, f) = ((math.cos(x), math.sin(x)) for x in (r, p, y))
-    about_x, about_y = (
-        np.array([[1, 0, 0], [0, a, -b], [0, b, a]]),
-        np.array([[c, 0, d], [0, 1, 0], [-d, 0, c]]),
-    )
-    turned: Array = np.array([[e, -f, 0], [f, e, 0], [0, 0, 1]]) @ about_y @ about_x
+    turned: Array = Rotation.from_euler("xyz", _numbers(origin, "rpy", "0 0 0")).as_matrix()
     return turned
 
 
@@ -272,11 +266,8 @@ def _lines(tables: Mapping[str, Mapping[str, Any]], title: str) -> Iterator[str]
     for name, table in tables.items():
         body: _Body = table["body"]
         entries = {"at": table["at"], "mass": body.mass, "centre": body.centre}
-        entries |= {
-            "inertia": [body.inertia[i // 3, i % 3] for i in (0, 4, 8, 1, 2, 5)],
-        }
-        entries |= {n: table[n] for n in ("damping", "friction") if n in table}
-        entries |= {"ratio": table["ratio"]} if "ratio" in table else {}
+        entries["inertia"] = body.inertia.ravel()[[0, 4, 8, 1, 2, 5]]
+        entries |= {n: table[n] for n in ("damping", "friction", "ratio") if n in table}
         yield f"\n[{name}]\n"
         yield from (f"# left out: {text}\n" for text in table["left out"])
         yield from (f'{n} = "{table[n]}"\n' for n in ("joint", "axis", "parent", "follows") if n in table)

@@ -12,22 +12,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
+import numpy as np
+
 from fmus.crane.controller import controlled
 from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import manipulator
+from fmus.joints import BARS
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 
 COLOURS = ("#009e73", "#0072b2", "#d55e00", "#cc79a7", "#e69f00", "#56b4e9", "#7d7d7d")  # Okabe and Ito 2008
-RATE = {"motor": 3.0, "cylinder": 10.0, "four-bar": 10.0}  # V/s, ramps of the levers
-FULL = {"motor": 4.0, "cylinder": 6.0, "four-bar": 6.0}  # V at full deflection
-SLENDER, TAPER, LEAST = (
-    0.042,
-    0.86,
-    0.09,
-)  # depth of the first beam over the reach, of the next one, least [m]
+# of the levers of motors and of cylinders
+RATE, FULL = {True: 3.0, False: 10.0}, {True: 4.0, False: 6.0}  # V/s, ramps; V at full deflection
+SLENDER, TAPER = 0.042, 0.86  # depth of the first beam over the reach, of the next one over that
+LEAST = 0.09  # m, of a beam
 BRACKET = 0.16  # m, half the foot of a bracket
 NEAR = 0.06  # m: a pin so near to the line of its beam has no bracket
 PEDESTAL = 0.3  # m, radius
+HERE = np.zeros(3)
 # of the camera and the point that it looks at, over the reach
 VIEWS = {
     "quarter": (0.85, -1.25, 0.5, 0.28, 0.0, 0.17),
@@ -46,6 +48,10 @@ TIP_AXES = [
     {"name": ["swing_velocity"], "limit": 0.6, "rate": 0.6},
     {"name": ["engaged"], "limit": 1.0, "rate": 1e3, "rest_delay": 3.0},
 ]
+PAYLOAD = {
+    **{"name": "payload_mass", "text": "Payload", "unit": "kg"},
+    **{"low": 0.0, "high": 1000.0, "step": 10.0, "rate": 1e5},
+}
 WORDS = {"motor": ("left", "right"), "revolute": ("up", "down"), "prismatic": ("out", "in")}
 
 
@@ -78,32 +84,26 @@ def description(crane: CraneDescription) -> dict[str, Any]:
     """The content of the file."""
     pressure = crane.numbers["supply"]["pressure_setting"].value
     most = math.ceil(1.2e-6 * pressure)  # MPa, end of scales
-    pistons, controls = [j for j in crane.driven if j.drive != "motor"], _levers(crane)
+    controls = _levers(crane)
     driven = [n for mode in controls["modes"].values() for full in mode["full"].values() for n in full]
+    axes = [
+        {"name": [n for n in driven if n.startswith(f"{j.name}_")], "limit": 10.0, "rate": RATE[j.motor]}
+        for j in crane.driven
+    ]
     return {
         "full_pressure": 1e6 * most,
         "signals": [f"tip_{n}" for n in "xy"],
-        "axes": [
-            {"name": [n for n in driven if n.startswith(f"{j.name}_")], "limit": 10.0, "rate": RATE[j.drive]}
-            for j in crane.driven
-        ]
-        + (TIP_AXES if "tip" in controls["modes"] else []),
-        "sliders": [_slider()],
+        "axes": axes + (TIP_AXES if "tip" in controls["modes"] else []),
+        "sliders": [PAYLOAD],
         **controls,
         "gauges": _gauges(crane, most),
         "charts": _charts(crane, most),
         "notices": [
             {"name": f"{j.name}_stop_force", "above": 1e3, "text": f"the {j.name} is at an end of its stroke"}
-            for j in pistons
+            for j in crane.driven
+            if j.cylinder
         ],
         "scene": _scene(crane),
-    }
-
-
-def _slider() -> dict[str, Any]:
-    return {
-        **{"name": "payload_mass", "text": "Payload", "unit": "kg"},
-        **{"low": 0.0, "high": 1000.0, "step": 10.0, "rate": 1e5},
     }
 
 
@@ -121,15 +121,15 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
         moved = [j.name for j in controlled(crane)]
     levers_of = LEVER if moved else LEVER[1:]
     if len(order) > STICKS:
-        first = sorted(order, key=lambda j: j.kind == "prismatic")[:STICKS]
+        first = sorted(order, key=lambda j: not j.revolute)[:STICKS]
         order = [*first, *(j for j in order if j not in first)]
     for k, j in enumerate(order[:MOST]):
-        ends = WORDS["motor" if j.drive == "motor" else j.kind]
+        ends = WORDS["motor" if j.motor else j.kind]
         sign = of.joint(j.name).lever
-        if k == 2 or j.kind == "prismatic":  # towards the operator is in, or down
+        if k == 2 or not j.revolute:  # towards the operator is in, or down
             ends, sign = (ends[1], ends[0]), -sign
         words[j.name] = [f"{j.name} {end}" for end in ends]
-        full[j.name] = {f"{j.name}_{n}": sign * FULL[j.drive] for n in levers_of}
+        full[j.name] = {f"{j.name}_{n}": sign * FULL[j.motor] for n in levers_of}
     names = [*words, *["none"] * (STICKS - len(words))]
     if "none" in names:
         words["none"] = ["none", "none"]
@@ -154,81 +154,64 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
     return {"functions": words, "patterns": hands, "modes": modes}
 
 
+def _line(name: str, text: str, unit: str, **scale: float) -> dict[str, Any]:
+    return {"name": name, "text": text, "unit": unit, **scale}
+
+
 def _gauges(crane: CraneDescription, most: int) -> list[dict[str, Any]]:
-    supply = [{"name": "supply_pressure", "text": "Supply", "unit": "MPa", "high": most}]
     pressures = [
-        {"name": f"{j.name}_{end}", "text": f"{j.name.capitalize()}, {text}", "unit": "MPa", "high": most}
+        _line(f"{j.name}_{end}", f"{j.name.capitalize()}, {text}", "MPa", high=most)
         for j in crane.driven
         for end, text in _ends(j)
     ]
     motion = [
-        {
-            "name": j.coordinate,
-            "text": j.name.capitalize(),
-            "unit": "°",
-            "low": -180,
-            "high": 180,
-            "digits": 0,
-        }
-        if j.kind == "revolute"
-        else {"name": j.coordinate, "text": j.name.capitalize(), "unit": "m", "digits": 2}
+        _line(j.coordinate, j.name.capitalize(), "°", low=-180, high=180, digits=0)
+        if j.revolute
+        else _line(j.coordinate, j.name.capitalize(), "m", digits=2)
         for j in crane.joints
         if not j.follows
     ]
     tip = [
-        {"name": "tip_radius", "text": "Tip, reach", "unit": "m", "digits": 2},
-        {
-            "name": "tip_height",
-            "text": "Tip, height",
-            "unit": "m",
-            "low": -2,
-            "high": _reach(crane),
-            "digits": 2,
-        },
-        {"name": "held_mass", "text": "Load", "unit": "kg", "high": 1000, "digits": 0},
+        _line("tip_radius", "Tip, reach", "m", digits=2),
+        _line("tip_height", "Tip, height", "m", low=-2, high=_reach(crane), digits=2),
+        _line("held_mass", "Load", "kg", high=1000, digits=0),
     ]
-    power = [{"name": "supply_flow", "text": "Flow", "unit": "L/min", "high": 300, "digits": 0}]
     return [
-        {"title": "Pressure", "lines": supply + pressures},
+        {"title": "Pressure", "lines": [_line("supply_pressure", "Supply", "MPa", high=most), *pressures]},
         {"title": "Motion", "lines": motion + tip},
-        {"title": "Power", "lines": power},
+        {"title": "Power", "lines": [_line("supply_flow", "Flow", "L/min", high=300, digits=0)]},
     ]
 
 
 def _charts(crane: CraneDescription, most: int) -> list[dict[str, Any]]:
-    colours = {j.name: COLOURS[k % len(COLOURS)] for k, j in enumerate(crane.driven)}
+    def curves(signal: str, *kinds: str) -> list[dict[str, Any]]:
+        return [
+            {"name": f"{j.name}_{signal}", "text": j.name, "colour": COLOURS[k % len(COLOURS)]}
+            for k, j in enumerate(crane.driven)
+            if j.kind in (kinds or WORDS)
+        ]
+
     pressures = [
-        {"name": f"{j.name}_{end}", "text": f"{j.name}, {text}", "colour": colours[j.name], "dashed": dashed}
-        for j in crane.driven
+        {**curve, "name": f"{j.name}_{end}", "text": f"{j.name}, {text}", "dashed": dashed}
+        for j, curve in zip(crane.driven, curves("pressure"), strict=True)
         for (end, text), dashed in zip(_ends(j), (False, True), strict=True)
     ]
-    charts = [
-        {
-            "title": "Pressure",
-            "unit": "MPa",
-            "ends": [most, 2 * most, 4 * most],
-            "both": False,
-            "curves": pressures,
-        }
+    scale = {"unit": "MPa", "ends": [most, 2 * most, 4 * most], "both": False}
+    speeds = [("revolute", "°/s", [20, 40, 80, 160]), ("prismatic", "m/s", [0.2, 0.5, 1, 2])]
+    return [
+        {"title": "Pressure", **scale, "curves": pressures},
+        {"title": "Command", "unit": "V", "ends": [10], "curves": curves("command")},
+        *(
+            {"title": "Speed", "unit": unit, "ends": ends, "curves": found}
+            for kind, unit, ends in speeds
+            if (found := curves("speed", kind))
+        ),
     ]
-    commands = [
-        {"name": f"{j.name}_command", "text": j.name, "colour": colours[j.name]} for j in crane.driven
-    ]
-    charts.append({"title": "Command", "unit": "V", "ends": [10], "curves": commands})
-    for kind, unit, ends in (("revolute", "°/s", [20, 40, 80, 160]), ("prismatic", "m/s", [0.2, 0.5, 1, 2])):
-        curves = [
-            {"name": f"{j.name}_speed", "text": j.name, "colour": colours[j.name]}
-            for j in crane.driven
-            if j.kind == kind
-        ]
-        if curves:
-            charts.append({"title": "Speed", "unit": unit, "ends": ends, "curves": curves})
-    return charts
 
 
 def _ends(joint: JointDescription) -> tuple[tuple[str, str], tuple[str, str]]:
     """Signals of the two pressures of a drive, without the joint, and their words."""
-    if joint.drive == "motor":
+    if joint.motor:
         return ("pressure_a", "port A"), ("pressure_b", "port B")
     return ("head_pressure", "head"), ("rod_pressure", "rod")
 
@@ -240,13 +223,17 @@ def _scene(crane: CraneDescription) -> dict[str, Any]:
     reach = _reach(crane)
     joints, cylinders, pressures = dict[str, Any](), dict[str, Any](), dict[str, str]()
     for j in crane.joints:
-        at = [_sum((j, f"at_{n}")) for n in "xyz"]
         initial = "" if j.follows else f"initial_{j.coordinate}"
-        joints[j.name] = {"parent": _body(j.parent), "at": at, "axis": j.axis, "kind": j.kind}
+        joints[j.name] = {
+            "parent": j.parent or "ground",
+            "at": _place(j, "at"),
+            "axis": j.axis,
+            "kind": j.kind,
+        }
         joints[j.name] |= {"signal": j.coordinate, "initial": initial}
-        if j.drive == "four-bar":
+        if j.four_bar:
             joints |= _linkage(j)
-        if j.kind == "revolute" and j.drive in ("cylinder", "four-bar"):
+        if j.revolute and j.cylinder:
             cylinders[j.name] = _cylinder(j)
             pressures |= {f"{j.name}_{end}": f"{j.name}_{end}_pressure" for end in ("head", "rod")}
     tip = [f"tip_at_{n}" if crane.numbers["payload"][f"tip_{n}"].value else 0 for n in "xyz"]
@@ -261,37 +248,27 @@ def _scene(crane: CraneDescription) -> dict[str, Any]:
     }
 
 
-def _body(parent: str) -> str:
-    return parent or "ground"
-
-
-def _sum(*terms: tuple[JointDescription, str]) -> str | float:
-    """A formula of parameters of joints; those that are 0 are none."""
-    return " + ".join(f"{j.name}_{n}" for j, n in terms if j[n] != 0) or 0
+def _place(j: JointDescription, *vectors: str) -> list[str | float]:
+    """A sum of vectors by the parameters of a joint; those that are 0 are none."""
+    names = ([n for v in vectors if (n := f"{v}_{axis}") in j.numbers and j[n] != 0] for axis in "xyz")
+    return [" + ".join(f"{j.name}_{n}" for n in some) or 0 for some in names]
 
 
 def _linkage(j: JointDescription) -> dict[str, Any]:
     """Rocker and coupler; their angles are those in the frame of the joint's parent."""
-    at = [_sum((j, "at_x"), (j, "pivot_x")), _sum((j, "at_y")), _sum((j, "at_z"), (j, "pivot_z"))]
-    body, common = _body(j.parent), {"axis": j.axis}
-    return {
-        f"{j.name}_rocker": {"parent": body, "at": at, "signal": f"{j.name}_rocker_angle", **common},
-        f"{j.name}_coupler": {
-            **{"parent": f"{j.name}_rocker", "frame": body, "at": [f"{j.name}_rocker", 0, 0]},
-            **{"signal": f"{j.name}_coupler_angle", **common},
-        },
+    body, rocker, coupler = j.parent or "ground", f"{j.name}_rocker", f"{j.name}_coupler"
+    found: dict[str, Any] = {
+        rocker: {"parent": body, "at": _place(j, "at", "pivot")},
+        coupler: {"parent": rocker, "frame": body, "at": [rocker, 0, 0]},
     }
+    return {bar: {**x, "signal": f"{bar}_angle", "axis": j.axis} for bar, x in found.items()}
 
 
 def _cylinder(j: JointDescription) -> dict[str, Any]:
-    base = [_sum((j, "at_x"), (j, "base_x")), _sum((j, "at_y")), _sum((j, "at_z"), (j, "base_z"))]
-    if j.drive == "four-bar":
-        pin = {"body": f"{j.name}_rocker", "at": [f"{j.name}_rocker", 0, 0]}
-    else:
-        pin = {"body": j.name, "at": [_sum((j, "pin_x")), 0, _sum((j, "pin_z"))]}
+    rocker, pin = f"{j.name}_rocker", {"body": j.name, "at": _place(j, "pin")}
     return {
-        "base": {"body": _body(j.parent), "at": base},
-        "pin": pin,
+        "base": {"body": j.parent or "ground", "at": _place(j, "at", "base")},
+        "pin": {"body": rocker, "at": [rocker, 0, 0]} if j.four_bar else pin,
         "closed_length": f"{j.name}_closed_length",
         "stroke": f"{j.name}_stroke",
         "barrel_radius": round(0.6 * j["bore"], 4),
@@ -299,18 +276,14 @@ def _cylinder(j: JointDescription) -> dict[str, Any]:
     }
 
 
-Point = tuple[float, float, float]
-
-
-def _at(j: JointDescription) -> Point:
-    return j["at_x"], j["at_y"], j["at_z"]
+def _tip(crane: CraneDescription) -> Array:
+    return np.array([crane.numbers["payload"][f"tip_{n}"].value for n in "xyz"])
 
 
 def _reach(crane: CraneDescription) -> float:
     """Length of the stretched crane [m]."""
-    tip = math.hypot(*(crane.numbers["payload"][f"tip_{n}"].value for n in "xyz"))
-    strokes = sum(j.numbers["stroke"].value for j in crane.driven if j.kind == "prismatic")
-    return sum(math.hypot(*_at(j)) for j in crane.joints) + tip + strokes
+    strokes = sum(j["stroke"] for j in crane.driven if not j.revolute)
+    return sum(math.hypot(*j.vector("at")) for j in crane.joints) + math.hypot(*_tip(crane)) + strokes
 
 
 def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
@@ -321,79 +294,62 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
         "ground", "z", (PEDESTAL, PEDESTAL, first["at_z"] or 0.1), (first["at_x"], first["at_y"], 0), "steel"
     )
     for k, j in enumerate(crane.joints):
-        ends = [_at(other) for other in crane.joints if other.parent == j.name]
+        ends = [other.vector("at") for other in crane.joints if other.parent == j.name]
         if j is last:
-            x, y, z = (crane.numbers["payload"][f"tip_{n}"].value for n in "xyz")
-            ends.append((x, y, z))
-        ends = ends or [(2 * j["centre_x"], 2 * j["centre_y"], 2 * j["centre_z"])]
+            ends.append(_tip(crane))
+        ends = ends or [2 * j.vector("centre")]
         thick, colour = max(depth * TAPER**k, LEAST), "edge" if k % 2 else "body"
         if j.shape:
             yield {"body": j.name, "kind": "mesh", "file": _mesh(j), "colour": colour}
             ends = []
-        elif j.kind == "prismatic":
-            begin = [-_inside(crane, j) * x for x in _direction(j)]
-            yield from _beam(j.name, begin, (0.0, 0.0, 0.0), thick, "steel")
+        elif not j.revolute:
+            yield from _beam(j.name, -_inside(crane, j) * j.direction, HERE, thick, "steel")
         for end in ends:
-            yield from _beam(j.name, (0.0, 0.0, 0.0), end, thick, colour)
-        for x, z in _pins(crane, j):
-            yield from _bracket(j.name, (x, z), [(e[0], e[2]) for e in ends], thick)
+            yield from _beam(j.name, HERE, end, thick, colour)
+        for pin in _pins(crane, j):
+            yield from _bracket(j.name, pin, [e[::2] for e in ends], thick)
         if ends:
             yield _round(j.name, "y", (0.3 * thick, 0.3 * thick, 1.1 * thick), (0, -0.55 * thick, 0), "steel")
         if j is last and ends and ends[-1][2] < -math.hypot(*ends[-1][:2]):
             yield from _claws(j.name, ends[-1][2])
-        if j.drive == "four-bar":
-            yield from _beam(f"{j.name}_rocker", (0.0, 0.0, 0.0), (j["rocker"], 0.0, 0.0), LEAST, "dark")
-            yield from _beam(f"{j.name}_coupler", (0.0, 0.0, 0.0), (j["coupler"], 0.0, 0.0), LEAST, "dark")
+        for bar in BARS if j.four_bar else ():
+            yield from _beam(f"{j.name}_{bar}", HERE, np.array([j[bar], 0, 0]), LEAST, "dark")
 
 
 def _inside(crane: CraneDescription, j: JointDescription) -> float:
     """Length of a stage of a telescope behind its joint [m]: its stroke, as far as there is room."""
     led = crane.joint(j.follows) if j.follows else j
-    ratio = j.ratio.value if j.follows else 1.0
-    stroke = ratio * led["stroke"] if "stroke" in led.numbers else 2 * math.hypot(*_along(j))
+    ratio = j["ratio"] if j.follows else 1.0
+    stroke = ratio * led["stroke"] if "stroke" in led.numbers else 2 * math.hypot(*j.vector("centre"))
     before = crane.joint(j.parent) if j.parent else None
-    room = math.hypot(*_at(j))
-    room += _inside(crane, before) if before and before.kind == "prismatic" else 0.0
+    room = math.hypot(*j.vector("at"))
+    room += _inside(crane, before) if before and not before.revolute else 0.0
     return min(stroke + 0.1, room or stroke)
 
 
-def _along(j: JointDescription) -> Point:
-    return j["centre_x"], j["centre_y"], j["centre_z"]
-
-
-def _direction(j: JointDescription) -> Point:
-    sign = -1.0 if j.axis[0] == "-" else 1.0
-    x, y, z = (sign * (n == j.axis[-1]) for n in "xyz")
-    return x, y, z
-
-
-def _pins(crane: CraneDescription, j: JointDescription) -> Iterator[tuple[float, float]]:
+def _pins(crane: CraneDescription, j: JointDescription) -> Iterator[Array]:
     """Pins on the link of a joint, in its plane: of its own drive and of the drives behind it."""
-    if j.kind == "revolute" and j.drive in ("cylinder", "four-bar"):
-        yield (j["pin_x"], j["pin_z"]) if j.drive == "cylinder" else (j["link_x"], j["link_z"])
-    for other in crane.joints:
-        if other.parent == j.name and other.kind == "revolute" and other.drive in ("cylinder", "four-bar"):
-            for pin in ("base", "pivot") if other.drive == "four-bar" else ("base",):
-                yield other["at_x"] + other[f"{pin}_x"], other["at_z"] + other[f"{pin}_z"]
+    turned = [other for other in crane.joints if other.revolute and other.cylinder]
+    if j in turned:
+        yield j.vector("link" if j.four_bar else "pin", "xz")
+    for other in (other for other in turned if other.parent == j.name):
+        for pin in ("base", "pivot") if other.four_bar else ("base",):
+            yield other.vector("at", "xz") + other.vector(pin, "xz")
 
 
-def _beam(
-    body: str, begin: Sequence[float], end: Sequence[float], thick: float, colour: str
-) -> Iterator[Any]:
+def _beam(body: str, begin: Array, end: Array, thick: float, colour: str) -> Iterator[dict[str, Any]]:
     """A girder, thinner at its end, in the plane of the crane; a tube across it."""
-    (x, y, z), long = (b - a for a, b in zip(begin, end, strict=True)), math.dist(begin, end)
-    if long < thick / 2:
+    along = end - begin
+    if (long := math.hypot(*along)) < thick / 2:
         return
-    if abs(y) > 0.01 or abs(begin[1]) > 0.01:
-        path = [list(begin), *([a + f * (b - a) for a, b in zip(begin, end, strict=True)] for f in (0.5, 1))]
+    if max(abs(along[1]), abs(begin[1])) > 0.01:
+        path = [[*(begin + share * along)] for share in (0, 0.5, 1)]
         yield {"body": body, "kind": "tube", "size": [thick / 3], "path": path, "colour": colour}
         return
-    u, n = (x / long, z / long), (-z / long, x / long)
-    corners = ((-0.3, 0.5), (0.25 * long / thick, 0.62), (long / thick + 0.2, 0.36))
-    outline = [(a, b) for a, b in corners] + [(a, -b) for a, b in reversed(corners)]
-    path = [
-        [round(begin[i] + thick * (a * u[k] + b * n[k]), 4) for k, i in ((0, 0), (1, 2))] for a, b in outline
-    ]
+    x, z = along[::2] / long
+    upper = np.array([(-0.3, 0.5), (0.25 * long / thick, 0.62), (long / thick + 0.2, 0.36)])
+    outline = np.vstack([upper, upper[::-1] * (1, -1)])
+    path = np.round(begin[::2] + thick * outline @ [[x, z], [-z, x]], 4).tolist()
     yield {"body": body, "kind": "plate", "size": [round(0.75 * thick, 4)], "path": path, "colour": colour}
 
 
@@ -404,31 +360,17 @@ def _claws(body: str, down: float) -> Iterator[dict[str, Any]]:
         yield {"body": body, "kind": "tube", "size": [0.035], "path": path, "colour": "dark", "mirror": True}
 
 
-def _bracket(
-    body: str, pin: tuple[float, float], ends: Sequence[tuple[float, float]], thick: float
-) -> Iterator[Any]:
+def _bracket(body: str, pin: Array, ends: Sequence[Array], thick: float) -> Iterator[dict[str, Any]]:
     """Two cheeks from a pin to the nearest beam."""
-    feet = [_foot(pin, end) for end in ends if math.hypot(*end) > NEAR]
-    if not feet:
-        return
-    foot, along = min(feet, key=lambda f: math.dist(pin, f[0]))
+    beams = [(end / long, long) for end in ends if (long := math.hypot(*end)) > NEAR]
+    feet = [(float(np.clip(pin @ along, 0, long)) * along, along) for along, long in beams]
+    foot, along = min(feet, key=lambda f: math.dist(pin, f[0]), default=(pin, pin))
     if math.dist(pin, foot) < NEAR:
         return
-    path = [[foot[k] + s * BRACKET * along[k] for k in (0, 1)] for s in (-1, 1)]
-    path.insert(1, [pin[k] + 0.06 * along[k] for k in (0, 1)])
-    path.insert(1, [pin[k] - 0.06 * along[k] for k in (0, 1)])
+    near, far = 0.06 * along, BRACKET * along
+    path = [[*x] for x in (foot - far, pin - near, pin + near, foot + far)]
     shape = {"body": body, "kind": "plate", "size": [0.035], "at": [0, round(0.4 * thick, 4), 0]}
     yield {**shape, "path": path, "colour": "dark", "mirror": True}
-
-
-def _foot(
-    pin: tuple[float, float], end: tuple[float, float]
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The point of the beam from the joint to `end` nearest to the pin, and the direction of the beam."""
-    long = math.hypot(*end)
-    along = end[0] / long, end[1] / long
-    share = min(max(pin[0] * along[0] + pin[1] * along[1], 0.0), long)
-    return (share * along[0], share * along[1]), along
 
 
 def _round(body: str, axis: str, size: Sequence[float], at: Sequence[float], colour: str) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from fmus.components import engine_and_pump
 from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.contract import Group, Quantity, Scalar, nested
 from fmus.supply import rail
-from fmus.supply.rail import Outlet, RailParameters, ShaftOutputs, ShaftState, Supply, TankParameters
+from fmus.supply.rail import Outlet, RailParameters, Supply, TankParameters
 from fmus.supply.variables import line_pressure, variant
 
 
@@ -75,118 +75,85 @@ class EnginePumpParameters(LineParameters, PumpParameters, TankParameters, engin
     """Parameters; values and sources are in parameters.toml."""
 
     @property
-    def pumps(self) -> tuple[Pump, Pump]:
+    def pumps(self) -> dict[str, Pump]:
         """Parameters of both pumps."""
-        compensator = (
-            *(self.compensator_band, self.compensator_rounding, self.compensator_lag),
-            *(self.pump_stroke_time, self.pump_destroke_time),
-        )
-        losses = (self.pump_leakage, self.pump_pressure_friction, self.pump_viscous_friction)
-        first, second = (
-            Pump(self.pump_displacement, *losses, setting, *compensator)
-            for setting in (self.pump_1_pressure_setting, self.pump_2_pressure_setting)
-        )
-        return first, second
+        settings = {"pump_1": self.pump_1_pressure_setting, "pump_2": self.pump_2_pressure_setting}
+        return {
+            name: Pump(
+                displacement=self.pump_displacement,
+                leakage=self.pump_leakage,
+                pressure_friction=self.pump_pressure_friction,
+                viscous_friction=self.pump_viscous_friction,
+                setting=setting,
+                band=self.compensator_band,
+                rounding=self.compensator_rounding,
+                lag=self.compensator_lag,
+                stroke_time=self.pump_stroke_time,
+                destroke_time=self.pump_destroke_time,
+            )
+            for name, setting in settings.items()
+        }
 
 
-class _SupplyLine(Group):
-    """Pressure of the supply line."""
-
-    supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7)
-
-
-class _Pumps(Group):
-    """Pressures and strokes of both pumps."""
-
-    pump_1_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 1", 1e7)
-    pump_2_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 2", 1e7)
-    pump_1_stroke: Scalar = Quantity("1", "Stroke of pump 1 relative to its full stroke")
-    pump_2_stroke: Scalar = Quantity("1", "Stroke of pump 2 relative to its full stroke")
+STATES, OUTPUTS = rail.variables(
+    {"pump_1": "pump 1", "pump_2": "pump 2"},
+    "both pumps",
+    ("supply_pressure",),
+    relief_flow=rail.RELIEF_FLOW,
+)
 
 
-class EnginePumpState(ShaftState, _Pumps, _SupplyLine):
-    """Pressures, strokes, engine, and oil in the tank."""
+def _supply(x: Any, u: Any, p: EnginePumpParameters) -> Supply:
+    line = (p.check_resistance, p.pump_line_capacitance)
+    return Supply([Outlet.of(name, pump, line, x, p) for name, pump in p.pumps.items()], u, x, p)
 
 
-class EnginePumpOutputs(_Pumps, ShaftOutputs):
-    """Outputs of every variant, states, and flows and torques of pumps and valves."""
-
-    pump_1_flow: Scalar = Quantity("m3/s", "Flow from pump 1 through its check valve", 1e-3)
-    pump_2_flow: Scalar = Quantity("m3/s", "Flow from pump 2 through its check valve", 1e-3)
-    relief_flow: Scalar = Quantity("m3/s", "Flow through the main relief valve", 1e-3)
-    engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
-    engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
-    engine_load: Scalar = Quantity("N.m", "Torque of both pumps on the engine", 100.0)
-    cooling_power: Scalar = Quantity("W", "Heat from tank and cooler to the air", 1e4)
-    reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
-
-
-def _supply(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> Supply:
-    (first, second), line = p.pumps, (p.check_resistance, p.pump_line_capacitance)
-    pumps = (
-        Outlet("pump_1", rail.fed(first, x, p), *line, x.pump_1_pressure, x.pump_1_stroke),
-        Outlet("pump_2", rail.fed(second, x, p), *line, x.pump_2_pressure, x.pump_2_stroke),
-    )
-    return Supply(pumps, u, x, p)
-
-
-def dynamics(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> EnginePumpState:
+def dynamics(x: Any, u: Any, p: EnginePumpParameters) -> Any:
     """Time derivative of the state, field by field."""
-    first, second = p.pumps
-    rates = dict(
-        **_supply(x, u, p).rates(),
-        pump_1_stroke=engine_and_pump.stroke_rate(first, x.pump_1_stroke, x.pump_1_pressure),
-        pump_2_stroke=engine_and_pump.stroke_rate(second, x.pump_2_stroke, x.pump_2_pressure),
-    )
-    return nested(type(x), rates)
+    whole = _supply(x, u, p)
+    strokes = {
+        f"{o.name}_stroke": engine_and_pump.stroke_rate(o.pump, o.stroke, o.pressure) for o in whole.pumps
+    }
+    return nested(type(x), whole.rates() | strokes)
 
 
-def observe(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
+def observe(x: Any, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
     """States, outputs and heats by name."""
     known = _supply(x, u, p).outputs()
     load = line_pressure(u, p, ca.fmax(p.pump_1_pressure_setting, p.pump_2_pressure_setting))
     return known | {"load_sensing_pressure": load.value, "load_sensing_pressure_rate": load.rate}
 
 
-def initial(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
+def initial(x: Any, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
     """Initial state without flow into the drives: pumps at dead head, governed engine."""
-    tank, engine = p.reservoir_pressure, p.engine
-    speed = engine.no_load_speed
+    speed = p.engine.no_load_speed
     for _ in range(engine_and_pump.ITERATIONS):
-        speed = engine_and_pump.governed_speed(engine, _idle_load(p, speed), speed)
-    (stroke_1, pressure_1), (stroke_2, pressure_2) = (
-        engine_and_pump.dead_head(rail.at_start(d, p), speed, tank) for d in p.pumps
-    )
+        speed = engine_and_pump.governed_speed(p.engine, _idle_load(p, speed), speed)
+    tank, pumps = p.reservoir_pressure, {n: rail.at_start(pump, p) for n, pump in p.pumps.items()}
+    found = {n: engine_and_pump.dead_head(pump, speed, tank) for n, pump in pumps.items()}
     return {
-        "supply_pressure": ca.fmax(pressure_1, pressure_2),
-        "pump_1_pressure": pressure_1,
-        "pump_2_pressure": pressure_2,
-        "pump_1_stroke": stroke_1,
-        "pump_2_stroke": stroke_2,
-        "engine_speed": speed,
-        "engine_fuel_torque": engine_and_pump.governor_torque(engine, speed),
-        **rail.start(p),
+        "supply_pressure": ca.fmax(*(pressure for _, pressure in found.values())),
+        **{f"{n}_pressure": pressure for n, (_, pressure) in found.items()},
+        **{f"{n}_stroke": stroke for n, (stroke, _) in found.items()},
+        **rail.start(p, speed),
     }
 
 
 def _idle_load(p: EnginePumpParameters, speed: Scalar) -> Scalar:
     """Torque [N.m] of both pumps at dead head."""
     load: Scalar = 0
-    for d in (rail.at_start(pump, p) for pump in p.pumps):
+    for d in (rail.at_start(pump, p) for pump in p.pumps.values()):
         stroke, pressure = engine_and_pump.dead_head(d, speed, p.reservoir_pressure)
         load = load + engine_and_pump.torque(d, stroke, speed, pressure - p.reservoir_pressure)
     return load
 
 
-def require(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
+def require(x: Any, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
     """Requirements: order of pressure settings and of speeds, an engine that can turn the pumps."""
+    settings = {f"{name}_pressure_setting": pump.setting for name, pump in p.pumps.items()}
     return {
-        "pump_1_pressure_setting exceeds reservoir_pressure": p.pump_1_pressure_setting
-        - p.reservoir_pressure,
-        "pump_2_pressure_setting exceeds reservoir_pressure": p.pump_2_pressure_setting
-        - p.reservoir_pressure,
-        "relief_pressure exceeds pump_1_pressure_setting": p.relief.pressure - p.pump_1_pressure_setting,
-        "relief_pressure exceeds pump_2_pressure_setting": p.relief.pressure - p.pump_2_pressure_setting,
+        **{f"{n} exceeds reservoir_pressure": x - p.reservoir_pressure for n, x in settings.items()},
+        **{f"relief_pressure exceeds {n}": p.relief.pressure - x for n, x in settings.items()},
         **rail.engine_requirements(p, _idle_load(p, p.engine.rated_speed), "both pumps"),
     }
 
@@ -194,8 +161,8 @@ def require(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> dict[str, Sc
 ENGINE_PUMP = variant(
     text="Hydraulic supply: two pressure-compensated pumps on a diesel engine",
     parameters=EnginePumpParameters,
-    states=EnginePumpState,
-    outputs=EnginePumpOutputs,
+    states=STATES,
+    outputs=OUTPUTS,
     dynamics=dynamics,
     observe=observe,
     circuits=lambda x, u, p: {"supply": _supply(x, u, p).circuit},

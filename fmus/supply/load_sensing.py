@@ -47,15 +47,7 @@ from fmus.components.load_sensing import LoadPressure
 from fmus.contract import Group, Quantity, Scalar, nested
 from fmus.smooth import ramp_inverse
 from fmus.supply import rail
-from fmus.supply.rail import (
-    RESERVOIR,
-    Outlet,
-    RailParameters,
-    ShaftOutputs,
-    ShaftState,
-    Supply,
-    TankParameters,
-)
+from fmus.supply.rail import RESERVOIR, Outlet, RailParameters, Supply, TankParameters
 from fmus.supply.variables import limited, line_pressure, variant
 
 _LEAST_DROP = 1e-60  # Pa, for the inverse of `ramp`, which is not defined at 0
@@ -134,45 +126,25 @@ class LoadSensingParameters(RailParameters, Regulators, TankParameters, engine=D
         )
 
 
-class _PumpState(Group):
-    """Pressures and stroke."""
-
-    supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7)
-    load_sensing_pressure: Scalar = Quantity("Pa", "Pressure of the load-sensing line", 1e7)
-    pump_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of the pump", 1e7)
-    pump_stroke: Scalar = Quantity("1", "Stroke of the pump relative to its full stroke")
-
-
-class LoadSensingState(ShaftState, _PumpState):
-    """Pressures, stroke, engine, and oil in the tank."""
+STATES, OUTPUTS = rail.variables(
+    {"pump": "the pump"},
+    "the pump",
+    ("supply_pressure", "load_sensing_pressure"),
+    pressure_margin=Quantity("Pa", "Supply pressure above the load-sensing pressure", 1e6),
+    relief_flow=rail.RELIEF_FLOW,
+    rail_leakage_flow=Quantity("m3/s", "Pilot oil and leakage of spools", 1e-5),
+)
 
 
-class LoadSensingOutputs(ShaftOutputs):
-    """Outputs of every variant, states, and flows and torques of pump and valves."""
-
-    pump_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of the pump", 1e7)
-    pump_stroke: Scalar = Quantity("1", "Stroke of the pump relative to its full stroke")
-    pump_flow: Scalar = Quantity("m3/s", "Flow from the pump through its check valve", 1e-3)
-    pressure_margin: Scalar = Quantity("Pa", "Supply pressure above the load-sensing pressure", 1e6)
-    relief_flow: Scalar = Quantity("m3/s", "Flow through the main relief valve", 1e-3)
-    rail_leakage_flow: Scalar = Quantity("m3/s", "Pilot oil and leakage of spools", 1e-5)
-    engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pump", 100.0)
-    engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
-    engine_load: Scalar = Quantity("N.m", "Torque of the pump on the engine", 100.0)
-    cooling_power: Scalar = Quantity("W", "Heat from tank and cooler to the air", 1e4)
-    reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
-
-
-def _supply(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> Supply:
+def _supply(x: Any, u: Any, p: LoadSensingParameters) -> Supply:
     line = (p.main_pump.check_resistance, p.main_pump.line_capacitance)
-    pump = rail.fed(p.pump(x.load_sensing_pressure), x, p)
     bleed = p.rail_leakage / oil.viscosity_ratio(x.oil_temperature, p)
     leakage = Branch("supply_pressure", RESERVOIR, Kind.LEAKAGE, lambda drop: bleed * drop, "k_l")
-    pumps = [Outlet("pump", pump, *line, x.pump_pressure, x.pump_stroke)]
+    pumps = [Outlet.of("pump", p.pump(x.load_sensing_pressure), line, x, p)]
     return Supply(pumps, u, x, p, {"rail_leakage_flow": leakage})
 
 
-def dynamics(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> LoadSensingState:
+def dynamics(x: Any, u: Any, p: LoadSensingParameters) -> Any:
     """Time derivative of the state, field by field."""
     pump = p.pump(x.load_sensing_pressure)
     target = engine_and_pump.limited_stroke(
@@ -188,7 +160,7 @@ def dynamics(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> LoadSensi
     return nested(type(x), rates)
 
 
-def observe(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
+def observe(x: Any, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
     """States, outputs and heats by name."""
     return _supply(x, u, p).outputs() | {
         "load_sensing_pressure_rate": dynamics(x, u, p).load_sensing_pressure,
@@ -235,22 +207,19 @@ def _standby(u: Any, p: LoadSensingParameters, speed: Scalar, engine: DieselEngi
     return _Standby(speed, stroke, pressure, pressure - drop, load)
 
 
-def initial(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
+def initial(x: Any, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
     """Standby: all valves closed, governed engine under the small load of the pump."""
-    engine = p.engine
-    found = _standby(u, p, engine.no_load_speed, engine)
+    found = _standby(u, p, p.engine.no_load_speed, p.engine)
     return {
         "supply_pressure": found.supply_pressure,
         "load_sensing_pressure": _standby_line(u, p),
         "pump_pressure": found.pump_pressure,
         "pump_stroke": found.stroke,
-        "engine_speed": found.speed,
-        "engine_fuel_torque": engine_and_pump.governor_torque(engine, found.speed),
-        **rail.start(p),
+        **rail.start(p, found.speed),
     }
 
 
-def require(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
+def require(x: Any, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
     """Requirements: order of pressures and speeds; engine and power limit allow the pump's standby."""
     standby, d = _standby(u, p, p.engine.rated_speed), p.main_pump
     rise = standby.pump_pressure - p.reservoir_pressure
@@ -271,8 +240,8 @@ def require(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, 
 LOAD_SENSING = variant(
     text="Hydraulic supply: a load-sensing pump on a diesel engine",
     parameters=LoadSensingParameters,
-    states=LoadSensingState,
-    outputs=LoadSensingOutputs,
+    states=STATES,
+    outputs=OUTPUTS,
     dynamics=dynamics,
     observe=observe,
     circuits=lambda x, u, p: {"supply": _supply(x, u, p).circuit},

@@ -21,6 +21,8 @@ ends in the oil, because the arm comes back to its height. In between, the error
 the arm, 0.1 K. Friction outside the oil is counted too.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -152,6 +154,48 @@ class ShaftOutputs(SupplyOutputs):
     )
 
 
+class PumpOutputs(Group):
+    """Of a pump; pressure and stroke are states."""
+
+    pressure: Scalar = Quantity("Pa", "Pressure at the outlet of {}", 1e7)
+    stroke: Scalar = Quantity("1", "Stroke of {} relative to its full stroke")
+    flow: Scalar = Quantity("m3/s", "Flow from {} through its check valve", 1e-3)
+
+
+class EngineOutputs(Group):
+    """Of engine and tank."""
+
+    engine_speed: Scalar = quantities(ShaftState)["engine_speed"]
+    engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
+    engine_load: Scalar = Quantity("N.m", "Torque of {} on the engine", 100.0)
+    cooling_power: Scalar = Quantity("W", "Heat from tank and cooler to the air", 1e4)
+    reservoir_volume: Scalar = quantities(ShaftState)["reservoir_volume"]
+
+
+def variables(
+    pumps: Mapping[str, str], load: str, lines: Sequence[str], **others: Quantity
+) -> tuple[type[Any], type[Any]]:
+    """States and outputs of a supply with pumps.
+
+    pumps    begin of the names of each one -> the pump in texts
+    load     all of them in a text
+    lines    pressures that are states beside those of the pumps
+    others   further outputs
+    """
+    line, of = quantities(SupplyOutputs), dict[str, Quantity]()
+    for n, q in quantities(PumpOutputs).items():
+        of |= {f"{pump}_{n}": q.of(text, str) for pump, text in pumps.items()}
+    states = {n: line[n] for n in lines} | {n: q for n, q in of.items() if not n.endswith("flow")}
+    outputs = make_group("Outputs", of | others, ShaftOutputs)
+    of_engine = {n: q.of(load, str) for n, q in quantities(EngineOutputs).items()}
+    return make_group("State", states | dict(quantities(ShaftState))), make_group(
+        "Outputs", of_engine, outputs
+    )
+
+
+RELIEF_FLOW = Quantity("m3/s", "Flow through the main relief valve", 1e-3)
+
+
 @dataclass(frozen=True)
 class Outlet:
     """A pump at work on the line to its check valve.
@@ -169,6 +213,13 @@ class Outlet:
     pressure: Scalar
     stroke: Scalar
 
+    @classmethod
+    def of(cls, name: str, pump: Pump, line: tuple[Scalar, Scalar], x: Any, p: TankParameters) -> Outlet:
+        """A pump with the oil at its temperature, as far as it is in the tank."""
+        drawn = replace(pump, displacement=pump.displacement * oil_share(x, p))
+        warm = engine_and_pump.at_viscosity(drawn, oil.viscosity_ratio(x.oil_temperature, p))
+        return cls(name, warm, *line, getattr(x, f"{name}_pressure"), getattr(x, f"{name}_stroke"))
+
     def circuit(self, speed: Scalar, p: RailParameters) -> Circuit:
         """From the tank to the supply line, at a speed of the engine."""
         node, check = f"{self.name}_pressure", (self.resistance, p.check_opening)
@@ -185,12 +236,6 @@ class Outlet:
                 ),
             },
         )
-
-
-def fed(pump: Pump, x: ShaftState, p: TankParameters) -> Pump:
-    """A pump with the oil at its temperature, as far as it is in the tank."""
-    pump = replace(pump, displacement=pump.displacement * oil_share(x, p))
-    return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(x.oil_temperature, p))
 
 
 def oil_share(x: ShaftState, p: TankParameters) -> Scalar:
@@ -325,9 +370,11 @@ def additions(p: Any) -> list[tuple[str, Addition]]:
     return [(name, part) for name, part in vars(p).items() if isinstance(part, Addition)]
 
 
-def start(p: TankParameters) -> dict[str, Scalar]:
-    """Initial return line, temperature and volume of the oil, without flow."""
+def start(p: Any, speed: Scalar) -> dict[str, Scalar]:
+    """Initial engine at a governed speed, return line, temperature and volume of the oil, without flow."""
     return {
+        "engine_speed": speed,
+        "engine_fuel_torque": engine_and_pump.governor_torque(p.engine, speed),
         **{f"{name}_{n}": value for name, added in additions(p) for n, value in added.start().items()},
         "tank_pressure": return_pressure(p),
         "oil_temperature": p.oil_temperature_start,

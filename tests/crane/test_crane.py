@@ -256,6 +256,13 @@ def test_all_that_a_file_does_not_say_is_listed(tmp_path):
     assert {n for n in rest - own - zero if f" {n} " not in of["drives"]} == set()
 
 
+def test_a_number_has_the_bounds_of_the_file_in_the_fmu():
+    """Stroke of a piston, slope of the base, mass of a link: they are declared once."""
+    known = quantities(manipulator(crane()).parameters)
+    bounds = {n: (known[n].minimum, known[n].maximum) for n in ("boom_stroke", "base_pitch", "jib_mass")}
+    assert bounds == {"boom_stroke": (0.01, 100), "base_pitch": (-1.5, 1.5), "jib_mass": (0, 1e6)}
+
+
 ADDED = """[boom]
 cushion = { length = "40 mm", resistance = 2e12 }
 reliefs = { pressure = "280 bar", gain = 1e-9 }

@@ -179,7 +179,7 @@ def test_heat_by_cause_is_that_of_each_part(bench):
 
 def stroke_after(start: float, pressure: float, time: float) -> float:
     """Stroke of the first pump at a constant outlet pressure."""
-    s, (pump, _) = ca.SX.sym("s"), nested(ENGINE_PUMP.sub.parameters, P).pumps
+    s, pump = ca.SX.sym("s"), nested(ENGINE_PUMP.sub.parameters, P).pumps["pump_1"]
     ode = {"x": s, "ode": engine_and_pump.stroke_rate(pump, s, pressure)}
     options = {"reltol": 1e-10, "abstol": 1e-12}
     return float(ca.integrator("s", "cvodes", ode, 0.0, time, options)(x0=start)["xf"])
