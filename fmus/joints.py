@@ -25,7 +25,7 @@ Validity: rigid links; the pins of a cylinder in the plane of its joint.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -56,13 +56,19 @@ def _nothing(*_: Any) -> dict[str, Scalar]:
     return {}
 
 
+def kinematics(joints: Sequence[JointModel], p: Any) -> Chain:
+    """The links without their masses, from the geometry alone."""
+    return Chain(tuple(j.link(p) for j in joints))
+
+
 @dataclass(frozen=True)
 class JointModel:
     """A joint with the link behind it, by functions of the parameters p.
 
     name        begin of the names of its speed, its drive and its outputs
     coordinate  name of its state, or of its output if it follows another joint
-    link        of the chain
+    link        of the chain, without its mass
+    body        its mass, centre and inertia, as fields of `Link`
     damping     viscous friction [N.m.s/rad or N.s/m]
     stiffness   of a spring, which is without force at 0 [N.m/rad or N/m]; None: no spring
     motor       whether a torque drives it
@@ -79,6 +85,7 @@ class JointModel:
     name: str
     coordinate: str
     link: Callable[[Any], Link]
+    body: Callable[[Any], Mapping[str, Any]] = _nothing
     damping: Of = _zero
     stiffness: Of | None = None
     motor: bool = False
@@ -174,7 +181,7 @@ class Mechanics:
 
     def chain(self, p: Any) -> Chain:
         """The links under gravity."""
-        return Chain(tuple(j.link(p) for j in self.joints), self.gravity(p))
+        return Chain(tuple(replace(j.link(p), **j.body(p)) for j in self.joints), self.gravity(p))
 
     def coordinates(self, x: Any) -> ca.SX:
         """Of the states, shape (n, 1)."""
@@ -202,10 +209,13 @@ class Mechanics:
             (m, x.held_mass),
         )
 
-    def at_rest(self, q: ca.SX, mass: Scalar, p: Any) -> ca.SX:
-        """Coordinates with the joints that rest in balance, under a payload [kg]."""
+    def at_rest(self, q: ca.SX, mass: Scalar, p: Any, swinging: Sequence[int] = ()) -> ca.SX:
+        """Coordinates of the joints with those that rest in balance, under a payload [kg].
+
+        swinging   joints that do not start at rest, but are to be in balance, too
+        """
         springs = {k: j.stiffness(p) for k, j in enumerate(self.joints) if j.stiffness}
-        resting = [k for k, j in enumerate(self.joints) if j.rests]
+        resting = [k for k, j in enumerate(self.joints) if j.rests or k in swinging]
         return self.chain(p).at_rest(q, resting, self.payload(mass, p), springs) if resting else q
 
     def transmission(self, name: str, q: Scalar, p: Any) -> Transmission:

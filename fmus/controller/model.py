@@ -13,7 +13,7 @@ the levers: a positive one turns left, raises the boom, extends the stick cylind
 Errors are reference minus machine. Values that the machine has, too, are those of its subsystems.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from fmus.controller.learning import learned_rates
 from fmus.controller.play import Compensation, beyond_limits, learned_rate
 from fmus.controller.reference import Reference, engaged, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
-from fmus.controller.variables import inputs, outputs, parameters, states
+from fmus.controller.variables import Lines, inputs, outputs, parameters, states
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Number, Tables, numbers, read, values
 from fmus.swing import SWING
@@ -190,50 +190,41 @@ class Controller:
         return found
 
 
-def controller_tables(swing: Subsystem, boom_stick: Subsystem, manipulator: Subsystem) -> Tables:
-    """Parameter and start values of the controller for a machine built from these subsystems."""
-    of_boom_stick, of_swing, of_manipulator = numbers(boom_stick), numbers(swing), numbers(manipulator)
-    own, poses = read(FILE)["parameters"], of_manipulator["parameters"]
-    declared = quantities(parameters(ARM))
-    known: dict[str, Number] = {}  # of what several parts have, the manipulator's counts first
-    for component, numbers_of in (
-        ("swing", of_swing),
-        ("boom_stick", of_boom_stick),
-        ("manipulator", of_manipulator),
-    ):
-        known |= {n: _noted(number, component) for n, number in numbers_of["parameters"].items()}
-    known |= {f"swing_{n}": _noted(number, "swing") for n, number in of_swing["parameters"].items()}
-    nominal = (n for n in declared if n.startswith("nominal_"))  # start values of boom_stick
-    known |= {n: _noted(of_boom_stick["start"][n.removeprefix("nominal_")], "boom_stick") for n in nominal}
-    found = {n: (known | own)[n] for n in declared}
-    angles = (a.coordinate[0] for a in ARM.axes)
-    start = {n: _noted(poses[f"initial_{n}"], "manipulator") for n in angles}
-    start |= {
-        n: _noted(of_boom_stick["start"][n], "boom_stick") for n in ("supply_pressure", "tank_pressure")
-    }
-    pressures = start_pressures(swing) | start_pressures(boom_stick)
-    at_rest = "pressure at rest in the nominal pose"
-    start |= {n: Number(value, "Pa", "derived", at_rest) for n, value in pressures.items()}
-    return {"parameters": found, "start": start}
+def controller_tables(arm: Arm, parts: Sequence[Subsystem], own: Mapping[str, Number]) -> Tables:
+    """Parameter and start values of the controller for a machine built from these subsystems.
+
+    parts   of what several have, the last one's counts; each is also known with the part in front
+    own     numbers of the parameters that no part has
+    """
+    known, start = dict(own), dict[str, Number]()
+    lines, pressures = quantities(Lines), dict[str, float]()
+    for sub in parts:
+        given = {k: {n: _noted(x, sub) for n, x in table.items()} for k, table in numbers(sub).items()}
+        known |= given["parameters"] | {f"nominal_{n}": x for n, x in given["start"].items()}
+        known |= {f"{sub.component}_{n}": x for n, x in given["parameters"].items()}
+        start |= {n: x for n, x in given["start"].items() if n in lines}
+        pressures |= start_pressures(arm, sub)
+    start |= {n: known[f"initial_{n}"] for n in (a.coordinate[0] for a in arm.axes)}
+    start |= {n: Number(x, "Pa", "derived", "pressure at rest at the start") for n, x in pressures.items()}
+    return {"parameters": {n: known[n] for n in quantities(parameters(arm))}, "start": start}
 
 
-def start_pressures(
-    sub: Subsystem, inputs: Mapping[str, float] | None = None, arm: Arm = ARM
-) -> dict[str, float]:
+def start_pressures(arm: Arm, sub: Subsystem, inputs: Mapping[str, float] | None = None) -> dict[str, float]:
     """Initial pressures of a drive that are inputs of the controller, rounded to nine digits.
 
     inputs   values by name that replace start values of the drive's inputs
     """
-    v = values(sub)
+    v, pressures = values(sub), {name for a in arm.axes for name, _ in a.sides}
+    if pressures.isdisjoint(v.x):
+        return {}
     u = {**v.u, **(inputs or {})}
     x = symbolic(sub).initial()(*(list(group.values()) for group in (v.x, u, v.p))).full()[:, 0]
-    pressures = {name for a in arm.axes for name, _ in a.sides}
     return {n: float(f"{a:.9g}") for n, a in zip(v.x, x, strict=True) if n in pressures}
 
 
-def _noted(number: Number, component: str) -> Number:
+def _noted(number: Number, sub: Subsystem) -> Number:
     """The same value, with the component in its note."""
-    return replace(number, note=f"{number.note} (as in {component})")
+    return replace(number, note=f"{number.note} (as in {sub.component})")
 
 
 def controller_of(arm: Arm, found: Tables) -> Subsystem:
@@ -265,7 +256,8 @@ def controller(
     swing: Subsystem = SWING, boom_stick: Subsystem = BOOM_STICK, manipulator: Subsystem = MANIPULATOR
 ) -> Subsystem:
     """The controller of a machine built from these subsystems, with their parameter values."""
-    return controller_of(ARM, controller_tables(swing, boom_stick, manipulator))
+    parts = (swing, boom_stick, manipulator)
+    return controller_of(ARM, controller_tables(ARM, parts, read(FILE)["parameters"]))
 
 
 CONTROLLER = controller()

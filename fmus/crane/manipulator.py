@@ -138,9 +138,9 @@ def numbers_of(joint: JointDescription) -> dict[str, Number]:
     return some | ({"ratio": joint.ratio} if joint.follows else {})
 
 
-def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
-    """A joint of a description."""
-    own, names = numbers_of(j), [joint.name for joint in crane.joints]
+def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> JointModel:
+    """A joint of a description, in a chain of these joints."""
+    own, names = numbers_of(j), [joint.name for joint in joints]
 
     def of(p: Any, *some: str) -> tuple[Scalar, ...]:
         return tuple(getattr(getattr(p, j.name), n) if n in own else 0 for n in some)
@@ -155,12 +155,14 @@ def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
             axis=j.axis,
             at=_vector(of(p, "at_x", "at_y", "at_z")),
             parent=names.index(j.parent) if j.parent else None,
-            mass=one("mass")(p),
-            centre=_vector(of(p, "centre_x", "centre_y", "centre_z")),
-            inertia=of(p, *(f"inertia_{n}" for n in INERTIAS)),
             follows=names.index(j.follows) if j.follows else None,
             ratio=one("ratio")(p) if j.follows else 1,
         )
+
+    def body(p: Any) -> dict[str, Any]:
+        centre = _vector(of(p, "centre_x", "centre_y", "centre_z"))
+        inertia = of(p, *(f"inertia_{n}" for n in INERTIAS))
+        return {"mass": one("mass")(p), "centre": centre, "inertia": inertia}
 
     def drive(p: Any) -> Drive:
         base, pin, pivot, end = (of(p, f"{n}_x", f"{n}_z") for n in ("base", "pin", "pivot", "link"))
@@ -180,6 +182,7 @@ def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
         name=j.name,
         coordinate=j.coordinate,
         link=link,
+        body=body,
         damping=one("damping"),
         stiffness=one("stiffness") if "stiffness" in own else None,
         motor=j.drive == "motor",
@@ -202,12 +205,10 @@ def _vector(values: Sequence[Scalar]) -> Vector:
     return x, y, z
 
 
-def crane_tip(crane: CraneDescription, p: Any) -> tuple[int, Vector]:
-    """Link and place of the crane tip."""
-    (way, end), names = crane.arm, [j.name for j in crane.joints]
-    if end is None:
-        return names.index(crane.payload_on), (p.tip_at_x, p.tip_at_y, p.tip_at_z)
-    return names.index(way[-1].name), joint_model(crane, end).link(p).at
+def crane_tip(crane: CraneDescription, p: Any) -> Vector:
+    """Place of the crane tip in the frame of the last link before it."""
+    way, end = crane.arm
+    return joint_model((*way, end), end).link(p).at if end else (p.tip_at_x, p.tip_at_y, p.tip_at_z)
 
 
 def mechanics(
@@ -227,7 +228,8 @@ def mechanics(
 
     def views(of: Mechanics, q: ca.SX, _w: ca.SX, _x: Any, p: Any) -> dict[str, Scalar]:
         chain, load = of.chain(p), payload(0, p)
-        tip, end = chain.position(q, load.link, load.at), chain.position(q, *crane_tip(crane, p))
+        tip = chain.position(q, load.link, load.at)
+        end = chain.position(q, names.index(way[-1].name), crane_tip(crane, p))
         across = (end - chain.position(q, names.index(slew.name)))[:2]
         return {
             **{f"tip_{n}": tip[k] for k, n in enumerate("xy")},
@@ -238,7 +240,7 @@ def mechanics(
         }
 
     return Mechanics(
-        joints=tuple(joint_model(crane, j) for j in crane.joints),
+        joints=tuple(joint_model(crane.joints, j) for j in crane.joints),
         parameters=parameters,
         states=states,
         inputs=inputs,

@@ -37,8 +37,8 @@ from fmus.controller.arm import Arm, Cylindrical
 from fmus.controller.reference import speed_limits
 from fmus.controller.valve import MARGIN, needed_pressures, nominal_full_speeds, section_speeds
 from fmus.controller.variables import LEARNED
-from fmus.machine.sway import head_sway
-from fmus.manipulator import MANIPULATOR
+from fmus.machine.sway import sway
+from fmus.manipulator import VARIANTS
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
@@ -54,14 +54,21 @@ UNITS = {True: "rad/s", False: "m/s"}  # of an axis that turns the column, of a 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What is known of a machine: its controller, its manipulator at rest, the sway of its head.
-
-    sway   period [s] and damping ratio of the head of a component that is a manipulator; None: none swings
-    """
+    """What is known of a machine: its controller, variants of its manipulator, the default one first."""
 
     controller: Subsystem
-    manipulator: Subsystem
-    sway: Callable[[Component], tuple[float, float] | None]
+    manipulators: Mapping[str, Subsystem]
+
+    @property
+    def manipulator(self) -> Subsystem:
+        """The default variant."""
+        return next(iter(self.manipulators.values()))
+
+    def sway(self, component: Component) -> tuple[float, float] | None:
+        """Period [s] and damping ratio of what hangs from this manipulator; None: nothing swings."""
+        own = component.real_parameters().keys()
+        like = max(self.manipulators.values(), key=lambda sub: len(own & quantities(sub.parameters).keys()))
+        return sway(like, component)
 
     @property
     def arm(self) -> Arm:
@@ -93,7 +100,7 @@ class Mechanics:
         return found | ({f"{name}.hysteresis": float(np.mean(plays))} if p.hysteresis > 0 else {})
 
 
-MECHANICS = Mechanics(CONTROLLER, MANIPULATOR, head_sway)  # of the harvester
+MECHANICS = Mechanics(CONTROLLER, VARIANTS)  # of the harvester
 
 
 @dataclass(frozen=True)

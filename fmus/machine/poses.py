@@ -7,9 +7,9 @@ import numpy as np
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic
-from fmus.controller.harvester import arm_angles
+from fmus.controller.harvester import ARM
 from fmus.controller.model import start_pressures
-from fmus.controller.paths import PATHS, Route, start
+from fmus.controller.paths import PATHS, Route, start, start_angles
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 
@@ -77,8 +77,8 @@ def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, floa
 
 def path_pose(path: Route, manipulator: Subsystem = MANIPULATOR) -> Pose:
     """The pose with the tip at the first point of a path."""
-    radius, height, swing = start(path)
-    return Pose(*arm_angles(radius, height, values(manipulator).p), swing)
+    found = start_angles("path", start(path), values(manipulator).p)
+    return Pose(*(found[f"manipulator.{parameter(joint)}"] for joint in (*JOINTS, "swing")))
 
 
 def controlled_poses(manipulator: Subsystem = MANIPULATOR) -> dict[str, Pose]:
@@ -93,5 +93,5 @@ def controller_set(
     result = pose_set(pose, manipulator)
     inputs = {n.partition(".")[2]: v for n, v in result.items() if n.startswith(f"{boom_stick.component}.")}
     measured = {"swing_angle": pose.swing, "boom_angle": pose.boom, "stick_angle": pose.stick}
-    measured |= start_pressures(boom_stick, inputs)
+    measured |= start_pressures(ARM, boom_stick, inputs)
     return result | {f"controller.{n}": value for n, value in measured.items()}
