@@ -189,13 +189,14 @@ class Arm:
             ]
         return Choice(trace**2 / STRETCHED, weights, wish)
 
-    def pose(self, tip: Sequence[float], start: Sequence[float], p: Any) -> list[float]:
+    def pose(self, tip: Sequence[float], start: Sequence[float], p: Any, ends: bool = True) -> list[float]:
         """Coordinates with the tip at a place; a Problem if the arm does not reach there.
 
         The search moves the tip from a start pose straight to the place, as the controller would.
 
-        tip   radius [m], height [m], angle [rad]
-        p     numbers
+        tip    radius [m], height [m], angle [rad]
+        p      numbers
+        ends   whether the strokes have to reach there, or the links alone
         """
         q, want = ca.SX.sym("q", len(self.axes)), ca.SX.sym("v", 2)
         each = ca.vertsplit(q)
@@ -215,7 +216,7 @@ class Arm:
             raise Problem(f"{asked}: out of reach, {nearest}")
         for a, (x, _) in zip(self.axes[1:], self.pistons(now.tolist(), p)[1:], strict=True):
             stroke = getattr(p, a.name).stroke
-            if not 0 < float(x) < stroke:
+            if ends and not 0 < float(x) < stroke:
                 place = f"the piston of {a.name} would be at {float(x):.3f} m"
                 raise Problem(f"{asked}: {place}, expected 0 to {stroke:.3f} m")
         return [tip[2], *now[1:].tolist()]
@@ -226,15 +227,16 @@ class Arm:
         """Each axis with its actuator at this position."""
         found = dict[str, Actuator]()
         for a, position in zip(self.axes, positions, strict=True):
-            own, liquid = getattr(p, a.name), self.hydraulics(a.name, p)
+            own, (valve, density) = getattr(p, a.name), self.hydraulics(a.name, p)
             flow = getattr(p, f"{a.name}_section_flow")
             if a.turns:
                 d, c = own.displacement, own.line.capacitance
-                found[a.name] = Actuator(d, d, c, c, own.line.friction(p), *liquid, (flow, flow))
+                found[a.name] = Actuator(d, d, c, c, own.line.friction(p), valve, density, (flow, flow))
             else:
                 c_head, c_rod = (own.hose.capacitance + v / p.bulk_modulus for v in own.volumes(position))
+                (head, rod), friction = own.areas, own.hose.friction(p)
                 flows = flow, getattr(p, f"{a.name}_rod_section_flow")
-                found[a.name] = Actuator(*own.areas, c_head, c_rod, own.hose.friction(p), *liquid, flows)
+                found[a.name] = Actuator(head, rod, c_head, c_rod, friction, valve, density, flows)
         return found
 
     def valve(self, axis: ControlledAxis, p: Any) -> Valve:

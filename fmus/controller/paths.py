@@ -214,9 +214,10 @@ def route_start_angles(
     texts: Sequence[str], given: Mapping[str, float], controller: Subsystem = CONTROLLER
 ) -> dict[str, float]:
     """`start_angles` for the first of the points 'x,y,z' [m]; raises Problem if one is out of reach."""
-    tips = ((text, start(Route((_point(text),)))) for text in texts)
-    angles = [start_angles(f"--through {text}", tip, given, controller) for text, tip in tips]
-    return angles[0]
+    first, *others = [(f"--through {text}", start(Route((_point(text),)))) for text in texts]
+    for label, tip in others:
+        start_angles(label, tip, given, controller, ends=False)
+    return start_angles(*first, given, controller)
 
 
 def start_angles(
@@ -224,6 +225,7 @@ def start_angles(
     tip: tuple[float, float, float],
     given: Mapping[str, float],
     controller: Subsystem = CONTROLLER,
+    ends: bool = True,
 ) -> dict[str, float]:
     """Start values of the manipulator with the tip at a place, by `component.variable`.
 
@@ -231,12 +233,13 @@ def start_angles(
     tip          (radius, height, angle) [m, m, rad]
     given        parameters of the manipulator that replace those of the controller
     controller   of the machine
+    ends         whether the strokes have to reach there, or the links alone
     """
     arm: Arm = controller.model.arm
     v, names = values(controller), [a.coordinate[0] for a in arm.axes]
     p = nested(controller.parameters, {n: given.get(n, x) for n, x in v.p.items()})
     try:
-        found = arm.pose(tip, [given.get(f"initial_{n}", v.u[n]) for n in names], p)
+        found = arm.pose(tip, [given.get(f"initial_{n}", v.u[n]) for n in names], p, ends)
     except Problem as error:
         raise Problem(f"{label}: {error}") from None
     return {f"manipulator.initial_{n}": x for n, x in zip(names, found, strict=True)}

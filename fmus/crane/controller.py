@@ -110,7 +110,7 @@ def _geometry(joint: JointDescription, names: Sequence[str]) -> dict[str, Quanti
 
 def _axis(joint: JointDescription) -> ControlledAxis:
     """A driven joint."""
-    name, kind, lever = joint.name, joint.kind, cylinder.SENSE
+    name, kind, lever = joint.name, str(joint.kind), cylinder.SENSE
     angle, speed = f"Coordinate of the {name} joint", f"Speed of the {name} joint"
     if joint.drive == "motor":
         kind, lever = "column", motor.SENSE
