@@ -15,14 +15,12 @@ of the tip if it is at an end, proportional to the distance between, as far as t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from fmus.components.chain import Vector
 from fmus.components.mechanics import Point
@@ -189,6 +187,18 @@ class Arm:
             ]
         return Choice(trace**2 / STRETCHED, weights, wish)
 
+    def search(self, p: Any) -> tuple[ca.Function, ca.Function]:
+        """(q, place) -> q with the tip nearer to the place, by Newton's method; (q, place) -> distance."""
+        q, place = ca.SX.sym("q", len(self.axes)), ca.SX.sym("place", 3)
+        at = ca.vertsplit(q)
+        tip = self.tip(at, p)
+        away = [a - b for a, b in zip(ca.vertsplit(place), (tip.radius, tip.height, tip.angle), strict=True)]
+        length = ca.sqrt(away[0] ** 2 + away[1] ** 2 + (tip.radius * away[2]) ** 2)
+        share = LARGEST_STEP / ca.fmax(length, LARGEST_STEP)
+        speeds = self.joint_speeds(at, Cylindrical(*(share * x for x in away)), p)
+        nearer = ca.Function("nearer", [q, place], [q + column(*speeds)])
+        return nearer, ca.Function("distance", [q, place], [length])
+
     def pose(self, tip: Sequence[float], start: Sequence[float], p: Any, ends: bool = True) -> list[float]:
         """Coordinates with the tip at a place; a Problem if the arm does not reach there.
 
@@ -198,28 +208,23 @@ class Arm:
         p      numbers
         ends   whether the strokes have to reach there, or the links alone
         """
-        q, want = ca.SX.sym("q", len(self.axes)), ca.SX.sym("v", 2)
-        each = ca.vertsplit(q)
-        speeds = self.joint_speeds(each, Cylindrical(want[0], want[1], 0), p)
-        of = ca.Function("of", [q, want], [column(*self.point(each, p)), column(*speeds)])
-        now, at, away = np.array(start), np.zeros(2), np.zeros(2)
+        (nearer, distance_of), now = self.search(p), [tip[2], *start[1:]]
         for _ in range(STEPS):
-            at = of(now, away)[0].full()[:, 0]
-            away = np.array(tip[:2]) - at
-            if math.hypot(*away) < CLOSE:
+            if distance_of(now, tip) < CLOSE:
                 break
-            step = away * min(1.0, LARGEST_STEP / math.hypot(*away))
-            now = now + of(now, step)[1].full()[:, 0]
+            now = nearer(now, tip).full()[:, 0].tolist()
         asked = f"tip at radius {tip[0]:g} m, height {tip[1]:g} m"
-        if not math.hypot(*away) < CLOSE:
-            nearest = f"the arm comes to radius {at[0]:.3g} m, height {at[1]:.3g} m"
-            raise Problem(f"{asked}: out of reach, {nearest}")
-        for a, (x, _) in zip(self.axes[1:], self.pistons(now.tolist(), p)[1:], strict=True):
+        if not distance_of(now, tip) < CLOSE:
+            radius, height = map(float, self.point(now, p))
+            raise Problem(
+                f"{asked}: out of reach, the arm comes to radius {radius:.3g} m, height {height:.3g} m"
+            )
+        for a, (x, _) in zip(self.axes[1:], self.pistons(now, p)[1:], strict=True):
             stroke = getattr(p, a.name).stroke
             if ends and not 0 < float(x) < stroke:
                 place = f"the piston of {a.name} would be at {float(x):.3f} m"
                 raise Problem(f"{asked}: {place}, expected 0 to {stroke:.3f} m")
-        return [tip[2], *now[1:].tolist()]
+        return now
 
     # ---- hydraulics
 

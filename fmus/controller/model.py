@@ -23,15 +23,15 @@ import casadi as ca
 from fmus import ports
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Scalar, Subsystem, quantities, symbolic
-from fmus.controller.actuator import ActuatorCommand, Motion, actuator_command
+from fmus.controller.actuator import ActuatorCommand, actuator_command
 from fmus.controller.arm import Arm, ControlledAxis, distance
 from fmus.controller.gains import gains
 from fmus.controller.harvester import ARM
-from fmus.controller.learning import learned_rates
+from fmus.controller.learning import Motion, learned_rates
 from fmus.controller.play import Compensation, beyond_limits, learned_rate
 from fmus.controller.reference import Reference, engaged, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
-from fmus.controller.variables import Lines, inputs, outputs, parameters, states
+from fmus.controller.variables import LEARNED, Lines, inputs, outputs, parameters, states
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Number, Tables, numbers, read, values
 from fmus.swing import SWING
@@ -39,7 +39,6 @@ from fmus.swing import SWING
 GAINS = tuple(quantities(gains(ARM.axes)))
 FILE = Path(__file__).with_name("parameters.toml")
 LEAST_SUPPLY = 1e5  # Pa: keeps the use of the supply pressure finite
-LEARNED = ("dead_band_up", "dead_band_down", "flow_up", "flow_down", "half_width")
 LEVERS = {
     "radial_lever": "radial_velocity",
     "vertical_lever": "vertical_velocity",
@@ -149,7 +148,7 @@ class Controller:
             play = self._compensation(a, x, p)
             spool, half_width = (rates[f"{a.name}_{n}"] for n in ("spool", "half_width"))
             found[f"{a.name}_command"] = play.command
-            found |= {n: getattr(x, n) for n in (f"{a.name}_{k}" for k in LEARNED)}
+            found |= {n: getattr(x, n) for n in (f"{a.name}_{k}" for k in (*LEARNED, "half_width"))}
             found[f"{a.name}_command_rate"] = play.command_rate(spool, half_width, rates["coordination"])
         return self.outputs(
             **found,

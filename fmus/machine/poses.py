@@ -9,7 +9,7 @@ from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic
 from fmus.controller.harvester import ARM
 from fmus.controller.model import start_pressures
-from fmus.controller.paths import PATHS, Route, start, start_angles
+from fmus.controller.paths import PATHS, start, start_angles
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 
@@ -75,15 +75,13 @@ def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, floa
     return result
 
 
-def path_pose(path: Route, manipulator: Subsystem = MANIPULATOR) -> Pose:
-    """The pose with the tip at the first point of a path."""
-    found = start_angles("path", start(path), values(manipulator).p)
-    return Pose(*(found[f"manipulator.{parameter(joint)}"] for joint in (*JOINTS, "swing")))
-
-
 def controlled_poses(manipulator: Subsystem = MANIPULATOR) -> dict[str, Pose]:
     """Poses by name, and the pose at the start of each path by its name."""
-    return {**POSES, **{name: path_pose(path, manipulator) for name, path in PATHS.items()}}
+    p, found = values(manipulator).p, dict(POSES)
+    for name, path in PATHS.items():
+        at = start_angles(name, start(path), p)
+        found[name] = Pose(*(at[f"manipulator.{parameter(joint)}"] for joint in (*JOINTS, "swing")))
+    return found
 
 
 def controller_set(
