@@ -21,6 +21,7 @@ from itertools import combinations
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from fmus.components.chain import Vector
 from fmus.components.mechanics import Point
@@ -210,9 +211,10 @@ class Arm:
         """
         (nearer, distance_of), now = self.search(p), [tip[2], *start[1:]]
         for _ in range(STEPS):
-            if distance_of(now, tip) < CLOSE:
+            after = nearer(now, tip).full()[:, 0].tolist()
+            if distance_of(now, tip) < CLOSE or not np.isfinite(after).all():  # a linkage that does not close
                 break
-            now = nearer(now, tip).full()[:, 0].tolist()
+            now = after
         asked = f"tip at radius {tip[0]:g} m, height {tip[1]:g} m"
         if not distance_of(now, tip) < CLOSE:
             radius, height = map(float, self.point(now, p))

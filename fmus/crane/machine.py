@@ -342,4 +342,5 @@ def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Mech
         tip=tuple(f"{NAME}.{n}" for n in tip),
     )
     machine = crane_machine(crane)
-    return own, Mechanics(controller(crane, machine), machine.parts[NAME])
+    assert machine.controller is not None
+    return own, Mechanics(machine.controller, machine.parts[NAME])
