@@ -55,7 +55,6 @@ class ControlledAxis:
     kind         of its joint: "column", "revolute" or "prismatic"
     lever        what a positive command does
     coordinate   name and description of its coordinate; its speed likewise
-    valve        begin of the names of its valve's parameters
     """
 
     name: str
@@ -63,7 +62,6 @@ class ControlledAxis:
     lever: str
     coordinate: tuple[str, str]
     speed: tuple[str, str]
-    valve: str
 
     @property
     def turns(self) -> bool:
@@ -252,9 +250,9 @@ class Arm:
 
     def derive(self, p: Any) -> dict[str, Scalar]:
         """Hoses and lines by the equations of the drives."""
-        names, found = nested(type(p), {n: n for n in quantities(type(p))}), dict[str, Scalar]()
+        found = dict[str, Scalar]()
         for a in self.axes:
-            of, full = (motor if a.turns else cylinder), flat(getattr(names, a.name))
+            of, full = (motor if a.turns else cylinder), flat(getattr(names_in(p), a.name))
             found |= {full[n]: x for n, x in of.derive(getattr(p, a.name), p).items()}
         return found
 
@@ -360,6 +358,11 @@ class Arm:
         y2 = (m11 * height - m12 * radius) / determinant
         found = (z + (c[0] * y1 + c[1] * y2) / w for z, c, w in zip(wish, columns, weights, strict=True))
         return (velocity.angle, *found)
+
+
+def names_in(p: Any) -> Any:
+    """A group like p with the names of its variables."""
+    return nested(type(p), {n: n for n in quantities(type(p))})
 
 
 def distance(a: Cylindrical, b: Cylindrical) -> Scalar:

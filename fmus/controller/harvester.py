@@ -15,7 +15,7 @@ from fmus.manipulator.variables import CylinderMount, ManipulatorParameters, OnC
 
 def _of_arm(name: str, angle: str, lever: str) -> ControlledAxis:
     speed = (f"{name}_speed", f"Speed of the {name} joint")
-    return ControlledAxis(name, "revolute", lever, (f"{name}_angle", angle), speed, "")
+    return ControlledAxis(name, "revolute", lever, (f"{name}_angle", angle), speed)
 
 
 AXES = (
@@ -25,7 +25,6 @@ AXES = (
         "turns left",
         ("swing_angle", f"Swing angle, {COUNTER}"),
         ("swing_speed", f"Swing speed, {COUNTER}"),
-        "swing_",
     ),
     _of_arm("boom", "Boom angle above the horizontal", "raises the boom"),
     _of_arm("stick", "Stick angle relative to the boom, negative when folded", "folds the stick in"),

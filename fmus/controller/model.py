@@ -24,7 +24,7 @@ from fmus import ports
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Scalar, Subsystem, quantities, symbolic
 from fmus.controller.actuator import ActuatorCommand, actuator_command
-from fmus.controller.arm import Arm, ControlledAxis, distance
+from fmus.controller.arm import Arm, ControlledAxis, distance, names_in
 from fmus.controller.gains import gains
 from fmus.controller.harvester import ARM
 from fmus.controller.learning import Motion, learned_rates
@@ -184,8 +184,8 @@ class Controller:
                 own = getattr(p, a.name)
                 found[f"{a.name}_rod is thinner than {a.name}_bore"] = own.bore - own.rod
                 found[f"stroke_margin is below half of {a.name}_stroke"] = own.stroke / 2 - p.stroke_margin
-            valve, of = self.arm.valve(a, p), f"{a.valve}valve"
-            found[f"{of}_full_command exceeds {of}_dead_band"] = valve.full_command - valve.dead_band
+            valve, named = (self.arm.valve(a, of) for of in (p, names_in(p)))
+            found[f"{named.full_command} exceeds {named.dead_band}"] = valve.full_command - valve.dead_band
         return found
 
 

@@ -115,7 +115,7 @@ def _axis(joint: JointDescription) -> ControlledAxis:
     if joint.drive == "motor":
         kind, lever = "column", motor.SENSE
         angle, speed = (f"{n} of the {name}, {COUNTER}" for n in ("Angle", "Speed"))
-    return ControlledAxis(name, kind, lever, (joint.coordinate, angle), (f"{name}_speed", speed), f"{name}_")
+    return ControlledAxis(name, kind, lever, (joint.coordinate, angle), (f"{name}_speed", speed))
 
 
 # ---- numbers
