@@ -183,6 +183,10 @@ class Mechanics:
         """The links under gravity."""
         return Chain(tuple(replace(j.link(p), **j.body(p)) for j in self.joints), self.gravity(p))
 
+    def start(self, p: Any) -> ca.SX:
+        """Coordinates of the states in the start pose, shape (n, 1)."""
+        return ca.SX(column(*(getattr(p, f"initial_{j.coordinate}") for j in self.free)))
+
     def coordinates(self, x: Any) -> ca.SX:
         """Of the states, shape (n, 1)."""
         found: ca.SX = column(*(getattr(x, j.coordinate) for j in self.free))
@@ -359,8 +363,7 @@ class Mechanics:
 
         A payload that the input has at the start is held from the start.
         """
-        q = column(*(getattr(p, f"initial_{j.coordinate}") for j in self.free))
-        q = self.at_rest(q, u.payload_mass, p)
+        q = self.at_rest(self.start(p), u.payload_mass, p)
         return {**{j.coordinate: q[k] for k, j in enumerate(self.free)}, "held_mass": u.payload_mass}
 
     def require(self, x: Any, _: Any, p: Any) -> dict[str, Scalar]:

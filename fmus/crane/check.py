@@ -255,14 +255,10 @@ def _axis(
 
 def _inertia(of: Mechanics, joint: JointDescription, v: Values) -> float:
     """M_ii [kg.m2 or kg] at the start pose without payload."""
-    p, q = nested(of.parameters, v.p), _coordinates(of, v)
+    p = nested(of.parameters, v.p)
+    q = of.start(p)
     motion = of.chain(p).equations(q, 0 * q, of.payload(0, p))
     return float(ca.evalf(motion.mass[of.index(joint.name), of.index(joint.name)]))
-
-
-def _coordinates(of: Mechanics, v: Values) -> ca.SX:
-    """Coordinates of the joints at the start, as the file has them."""
-    return ca.SX(ca.DM([v.p[f"initial_{j.coordinate}"] for j in of.free]))
 
 
 def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
@@ -271,7 +267,7 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     of, v = sub.model, values(sub)
     p = nested(of.parameters, v.p)
     axes = [a for a in found if a.joint.drive != "motor"]
-    s, q = ca.SX.sym("s", len(axes)), _coordinates(of, v)
+    s, q = ca.SX.sym("s", len(axes)), of.start(p)
     for k, a in enumerate(axes):
         q[of.index(a.joint.name)] = s[k]
     chain = of.chain(p)
@@ -449,7 +445,7 @@ def drawing(crane: CraneDescription, loads: Capacity) -> Figure:
     of, v = sub.model, values(sub)
     p = nested(of.parameters, v.p)
     chain, load = of.chain(p), of.payload(0, p)
-    q = of.at_rest(_coordinates(of, v), 0, p)
+    q = of.at_rest(of.start(p), 0, p)
     frames = [np.array(ca.evalf(f.origin)).ravel() for f in chain.frames(q)]
     points = {j.name: frames[k] for k, j in enumerate(crane.joints)} | {"": np.zeros(3)}
     cells, ends = _cells(loads)

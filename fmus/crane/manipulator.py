@@ -261,13 +261,16 @@ def manipulator(crane: CraneDescription) -> Subsystem:
     free = [j for j in crane.joints if not j.follows]
     pistons = [j for j in free if j.drive in ("cylinder", "four-bar")]
     motors = [j for j in free if j.drive == "motor"]
-    states, units = dict[str, Quantity](), {"revolute": ("rad", "rad/s"), "prismatic": ("m", "m/s")}
-    for j in free:
-        unit, rate = units[j.kind]
-        states[j.coordinate] = Quantity(
-            unit, f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}"
+    states, units = dict[str, Quantity](), {"revolute": "rad", "prismatic": "m"}
+    coordinates = {
+        j.coordinate: Quantity(
+            units[j.kind], f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}"
         )
-        states[f"{j.name}_speed"] = Quantity(rate, f"Speed of the {j.name} joint")
+        for j in crane.joints
+    }
+    for j in free:
+        states[j.coordinate] = coordinates[j.coordinate]
+        states[f"{j.name}_speed"] = Quantity(f"{units[j.kind]}/s", f"Speed of the {j.name} joint")
     held = _of(ManipulatorState, "held_mass", "payload_flow")
     rubbing = [
         (j, name, c) for j in free for name, c in zip(contacts(j), CONTACTS.values(), strict=True) if name
@@ -285,13 +288,7 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         f"{j.name}_holding_torque": Quantity("N.m", f"Torque that holds the {j.name} against gravity", 1e4)
         for j in motors
     }
-    shown = {
-        j.coordinate: Quantity(
-            units[j.kind][0], f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}"
-        )
-        for j in crane.joints
-        if j.follows
-    }
+    shown = {j.coordinate: coordinates[j.coordinate] for j in crane.joints if j.follows}
     shown |= {
         f"{j.name}_{bar}_angle": Quantity("rad", f"Angle of the {bar} of the {j.name} in its parent's frame")
         for j in pistons

@@ -23,7 +23,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from fmus.contract import Subsystem, column, nested
+from fmus.contract import Subsystem, nested
 from fmus.joints import Mechanics
 from fmus.parameters import values
 from orchestrator.data.table import Array
@@ -57,11 +57,11 @@ def sway(manipulator: Subsystem, component: Component) -> tuple[float, float] | 
         return None
     held, rows = float(component.value("payload_mass")), [free.index(j) for j in passive]
     q = ca.SX.sym("q", len(free))
-    start = of.of_joints(column(*(getattr(p, f"initial_{j.coordinate}") for j in free)))
     motion = of.chain(p).equations(q, ca.SX.zeros(len(free)), of.payload(held, p))
     terms = ca.Function("terms", [q], [motion.mass, ca.jacobian(motion.gravity, q)])
-    rest = ca.Function("rest", [q], [of.at_rest(q, held, p, [of.joints.index(j) for j in passive])])(start)
-    mass, stiffness = (ca.DM(m).full()[np.ix_(rows, rows)] for m in terms(rest))
+    rest = ca.Function("rest", [q], [of.at_rest(q, held, p, [of.joints.index(j) for j in passive])])
+    at = rest(ca.evalf(of.of_joints(of.start(p))))
+    mass, stiffness = (ca.DM(m).full()[np.ix_(rows, rows)] for m in terms(at))
     springs = np.diag([float(j.stiffness(p)) if j.stiffness else 0.0 for j in passive])
     losses = np.diag([float(j.damping(p)) for j in passive])
     squares, modes = np.linalg.eig(np.linalg.solve(mass, stiffness + springs))
