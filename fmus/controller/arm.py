@@ -97,20 +97,6 @@ class Cylindrical:
     angle: Scalar
 
 
-@dataclass(frozen=True)
-class Choice:
-    """How the joints of the arm share the velocity of the tip.
-
-    largest   square of the determinant of the columns, weighted, in the pose farthest from a singular one
-    weights   what the squares of their speeds count
-    wish      speeds that they are to have as far as the tip leaves it open; (): as small as possible
-    """
-
-    largest: Scalar
-    weights: Sequence[Scalar]
-    wish: Sequence[Scalar] = ()
-
-
 class Centring(Group):
     """Of an arm with more joints than the plane needs."""
 
@@ -164,13 +150,19 @@ class Arm:
         found = [drive.at(x) for drive, x in zip(driven, q[1:], strict=True)]
         return [(q[0], 1), *((t.position, t.arm) for t in found)]
 
-    def choice(self, columns: Sequence[Point], q: Coordinates, velocity: Cylindrical, p: Any) -> Choice:
-        """Of the joint speeds that give the tip this velocity."""
+    def choice(
+        self, columns: Sequence[Point], q: Coordinates, velocity: Cylindrical, p: Any
+    ) -> tuple[Scalar, Sequence[Scalar], Sequence[Scalar]]:
+        """How the joints of the arm share this velocity of the tip.
+
+        The square of the determinant of the columns, weighted, in the pose farthest from a singular one; what
+        the squares of their speeds count; speeds that they are to have as far as the tip leaves it open.
+        """
         if [j.link(p).joint for j in self.joints[1:]] == ["revolute"] * 2:
             # the largest determinant is |upper| |lower|, of links at a right angle: the first column is
             # perpendicular to the sum of both links, the other to the lower one
             (a, c), (b, d) = columns
-            return Choice(((a - b) ** 2 + (c - d) ** 2) * (b**2 + d**2), (1, 1))
+            return ((a - b) ** 2 + (c - d) ** 2) * (b**2 + d**2), (1, 1), (0, 0)
         own, pistons = [getattr(p, a.name) for a in self.axes[1:]], self.pistons(q, p)[1:]
         oil = [(sum(o.areas) / 2 * lever) ** 2 for o, (_, lever) in zip(own, pistons, strict=True)]
         weights = [w / sum(oil) + LEAST_SHARE for w in oil]
@@ -178,13 +170,13 @@ class Arm:
             room = positive(ca.fmin(x, o.stroke - x) - p.stroke_margin, p.stroke_margin / 10)
             weights[k] *= 1 + (NEAR * o.stroke / room) ** 2
         trace = sum((x**2 + z**2) / w for (x, z), w in zip(columns, weights, strict=True))
-        wish = list[Scalar]()
+        wish: list[Scalar] = [0] * len(weights)
         if len(weights) > 2:
             speed = p.centring * (ca.sqrt(velocity.radius**2 + velocity.height**2 + SLOW**2) - SLOW)
             wish = [
                 speed * (1 - 2 * x / o.stroke) / lever for o, (x, lever) in zip(own, pistons, strict=True)
             ]
-        return Choice(trace**2 / STRETCHED, weights, wish)
+        return trace**2 / STRETCHED, weights, wish
 
     def search(self, p: Any) -> tuple[ca.Function, ca.Function]:
         """(q, place) -> q with the tip nearer to the place, by Newton's method; (q, place) -> distance."""
@@ -337,12 +329,11 @@ class Arm:
         `singular_damping` in the singular position, with collinear links.
         """
         columns = self.columns(q, p)
-        choice = self.choice(columns, q, velocity, p)
-        weights, wish = choice.weights, choice.wish or [0] * len(columns)
+        largest, weights, wish = self.choice(columns, q, velocity, p)
         square: Scalar = 0
         for (c, w), (d, v) in combinations(zip(columns, weights, strict=True), 2):
             square += (c[0] * d[1] - d[0] * c[1]) ** 2 / (w * v)
-        sine_square = square / choice.largest
+        sine_square = square / largest
         singularity = ca.fmax(0, 1 - sine_square / (p.singular_share**2 + 1e-12))
         damping_square = p.singular_damping**2 * singularity**2
         # (J W^-1 J^T + l^2 I) y = v - J z by Cramer's rule

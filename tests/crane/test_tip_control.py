@@ -39,7 +39,7 @@ def _functions(**given):
     p, q, v = nested(LOADER.parameters, P | given), ca.SX.sym("q", 4), ca.SX.sym("v", 2)
     each, velocity = ca.vertsplit(q), Cylindrical(v[0], v[1], 0)
     point, pistons = column(*ARM.point(each, p)), column(*(x for x, _ in ARM.pistons(each, p)))
-    weights = column(*ARM.choice(ARM.columns(each, p), each, velocity, p).weights)
+    weights = column(*ARM.choice(ARM.columns(each, p), each, velocity, p)[1])
     speeds = column(*ARM.joint_speeds(each, velocity, p))
     return ca.Function("f", [q, v], [point, ca.jacobian(point, q), speeds, weights, pistons])
 
