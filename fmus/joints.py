@@ -67,8 +67,7 @@ class JointModel:
 
     name        begin of the names of its speed, its drive and its outputs
     coordinate  name of its state, or of its output if it follows another joint
-    link        of the chain, without its mass
-    body        its mass, centre and inertia, as fields of `Link`
+    link        of the chain; for the arm of a controller from the geometry alone
     damping     viscous friction [N.m.s/rad or N.s/m]
     stiffness   of a spring, which is without force at 0 [N.m/rad or N/m]; None: no spring
     motor       whether a torque drives it
@@ -80,12 +79,12 @@ class JointModel:
     contacts    names of the joint and of its piston in a law of dry friction; "": viscous friction only
     follows     whether its link follows another one
     rests       whether it starts at rest under gravity
+    body        what the link has besides, as fields of `Link`: mass, centre, inertia
     """
 
     name: str
     coordinate: str
     link: Callable[[Any], Link]
-    body: Callable[[Any], Mapping[str, Any]] = _nothing
     damping: Of = _zero
     stiffness: Of | None = None
     motor: bool = False
@@ -97,6 +96,7 @@ class JointModel:
     contacts: tuple[str, str] = ("", "")
     follows: bool = False
     rests: bool = False
+    body: Callable[[Any], Mapping[str, Any]] = _nothing
 
     @property
     def driven(self) -> bool:
