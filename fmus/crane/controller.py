@@ -56,6 +56,7 @@ def controlled(crane: CraneDescription) -> tuple[JointDescription, ...]:
     }
     for j in others:
         rules[f"[{j.name}] axis {j.axis}"] = j.axis[-1] in ("y" if j.kind == "revolute" else "xz")
+        rules[f"[{j.name}] follows {j.follows}"] = j.follows in ("", *(other.name for other in moved))
     for found, kept in rules.items():
         if not kept:
             raise Problem(f"{crane.file}: {NEEDED}, got {found}")

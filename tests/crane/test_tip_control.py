@@ -130,6 +130,11 @@ def test_an_arm_that_the_controller_does_not_know_is_told(tmp_path):
     crane = read(changed(tmp_path, ('[slew]\naxis = "z"', '[slew]\naxis = "-z"')))
     assert crane_machine(crane).controller is None
     problem(lambda: controlled(crane), r"in the plane of the arm, got \[slew\] drive motor, axis -z$")
+    lamp = '[lamp]\njoint = "prismatic"\naxis = "x"\nparent = "slew"\nmass = 20\n'
+    lamp += '[second]\nparent = "extension"'
+    follows = ('follows = "extension"', 'follows = "lamp"')
+    crane = read(changed(tmp_path, ("[second]", lamp), follows))
+    problem(lambda: controlled(crane), r"got \[second\] follows lamp$")
 
 
 def test_a_place_out_of_reach_is_told():
