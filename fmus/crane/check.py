@@ -75,10 +75,9 @@ class Start:
     def of(cls, crane: CraneDescription) -> Start:
         """The start of a crane."""
         sub = manipulator(crane)
-        p, of = values(sub).p, sub.model
-        return cls(
-            of, nested(of.parameters, p), ca.SX(ca.DM([p[f"initial_{j.coordinate}"] for j in of.free]))
-        )
+        of = sub.model
+        p = nested(of.parameters, values(sub).p)
+        return cls(of, p, of.start(p))
 
     def inertia(self, joint: JointDescription) -> float:
         """M_ii [kg.m2 or kg] without payload."""

@@ -21,9 +21,8 @@ from fmus.components.additions import CushionWithoutColumn
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
 from fmus.contract import Quantity, Subsystem, family, make_group, nested, quantities
-from fmus.controller.paths import Pose
 from fmus.crane.check import outputs_at_start
-from fmus.crane.controller import controlled, controller, hanging_sway, start_pose
+from fmus.crane.controller import controlled, controller
 from fmus.crane.description import ADDITIONS, NEW, OF_SUPPLY, CraneDescription, JointDescription, read
 from fmus.crane.manipulator import NAME, Dry, manipulator
 from fmus.crane.view import page_files
@@ -325,8 +324,8 @@ def build_crane(
     return paths
 
 
-def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose, Mechanics] | None:
-    """Names, start poses and mechanics of a crane that follows paths; None: the system is not one of a crane.
+def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Mechanics] | None:
+    """Names and mechanics of a crane that follows paths; None: the system is not one of a crane.
 
     names   of the harvester
     """
@@ -343,6 +342,5 @@ def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose
         tip=tuple(f"{NAME}.{n}" for n in tip),
     )
     machine = crane_machine(crane)
-    arm = machine.subsystems[NAME]
-    steering = controller(crane, machine)
-    return own, partial(start_pose, steering), Mechanics(steering, arm, partial(hanging_sway, arm))
+    assert machine.controller is not None
+    return own, Mechanics(machine.controller, machine.parts[NAME])

@@ -7,9 +7,9 @@ import numpy as np
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic
-from fmus.controller.harvester import arm_angles
+from fmus.controller.harvester import ARM
 from fmus.controller.model import start_pressures
-from fmus.controller.paths import PATHS, Route, start
+from fmus.controller.paths import PATHS, start, start_angles
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 
@@ -75,15 +75,13 @@ def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, floa
     return result
 
 
-def path_pose(path: Route, manipulator: Subsystem = MANIPULATOR) -> Pose:
-    """The pose with the tip at the first point of a path."""
-    radius, height, swing = start(path)
-    return Pose(*arm_angles(radius, height, values(manipulator).p), swing)
-
-
 def controlled_poses(manipulator: Subsystem = MANIPULATOR) -> dict[str, Pose]:
     """Poses by name, and the pose at the start of each path by its name."""
-    return {**POSES, **{name: path_pose(path, manipulator) for name, path in PATHS.items()}}
+    p, found = values(manipulator).p, dict(POSES)
+    for name, path in PATHS.items():
+        at = start_angles(name, start(path), p)
+        found[name] = Pose(*(at[f"manipulator.{parameter(joint)}"] for joint in (*JOINTS, "swing")))
+    return found
 
 
 def controller_set(
@@ -93,5 +91,5 @@ def controller_set(
     result = pose_set(pose, manipulator)
     inputs = {n.partition(".")[2]: v for n, v in result.items() if n.startswith(f"{boom_stick.component}.")}
     measured = {"swing_angle": pose.swing, "boom_angle": pose.boom, "stick_angle": pose.stick}
-    measured |= start_pressures(boom_stick, inputs)
+    measured |= start_pressures(ARM, boom_stick, inputs)
     return result | {f"controller.{n}": value for n, value in measured.items()}
