@@ -42,12 +42,13 @@ from fmus.controller.harvester import (
 from fmus.controller.model import FILE, controller_of, start_pressures
 from fmus.controller.valve import Actuator
 from fmus.controller.variables import parameters
-from fmus.crane.check import check, outputs_at_start
+from fmus.crane.check import check
 from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import TEXTS, crane_tip, numbers_of
 from fmus.drives import cylinder, motor
 from fmus.joints import Mechanics
 from fmus.machine.machine import Machine
+from fmus.machine.poses import outputs_at_start
 from fmus.parameters import Number, numbers, read, values
 from fmus.smooth import positive
 from orchestrator.base.errors import Problem

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import quantities
-from fmus.operator_input.model import AXES, OPERATOR, PAYLOADS, STROKES, Stroke
+from fmus.contract import Subsystem, quantities
+from fmus.operator_input.model import OPERATOR, PAYLOADS, STROKES, Stroke
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 
@@ -114,10 +114,10 @@ def payload(moves: Sequence[Move | Stem], time: NDArray[np.float64]) -> NDArray[
     return sum((m.sample(time) for m in moves if isinstance(m, Stem)), np.zeros(time.size))
 
 
-def program(moves: Sequence[Move | Stem]) -> dict[str, float]:
-    """The moves as parameters of the operator; all parameters of unused strokes and payloads are zero."""
-    values = dict.fromkeys(quantities(OPERATOR.parameters), 0.0)
-    for lever in AXES:
+def program(moves: Sequence[Move | Stem], operator: Subsystem = OPERATOR) -> dict[str, float]:
+    """The moves as parameters of an operator; all parameters of unused strokes and payloads are zero."""
+    values = dict.fromkeys(quantities(operator.parameters), 0.0)
+    for lever in dict.fromkeys(move.axis for move in moves if isinstance(move, Move)):
         strokes = [move for move in moves if isinstance(move, Move) and move.axis == lever]
         if len(strokes) > len(STROKES):
             raise Problem(f"{lever} lever: {len(strokes)} strokes, expected at most {len(STROKES)}")

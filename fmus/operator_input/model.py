@@ -175,8 +175,14 @@ def _next_event(levers: Sequence[str], x: OperatorState, u: OperatorInputs, p: A
     return remaining
 
 
-def operator(levers: Sequence[str], outputs: type[Any], **values: Any) -> Subsystem:
-    """The operator of some levers; `outputs` has their commands with rates, and the payload."""
+def operator(levers: Sequence[str], outputs: type[Any] | None = None, **values: Any) -> Subsystem:
+    """The operator of some levers; outputs: their commands with rates and the payload, with other texts."""
+    if outputs is None:
+        shown = {f"{n}_command": Quantity("V", f"Command to the {n} valve", 10.0) for n in levers}
+        shown |= {f"{n}_command_rate": ports.rate_output(f"{n}_command", "V/s", 10.0) for n in levers}
+        outputs = make_group(
+            "Outputs", {**shown, "payload_mass": quantities(OperatorOutputs)["payload_mass"]}
+        )
     return Subsystem(
         name="operator_input",
         text=f"Operator: a program of up to ten strokes on each of {NUMBERS.get(len(levers), len(levers))} "

@@ -66,6 +66,6 @@ def outputs(sub: Subsystem) -> list[str]:
 
 
 def native(name: str, folder: Path) -> Path:
-    """The native FMU in a folder that `build_machine` filled."""
+    """The native FMU in a folder that `harvester build` filled."""
     alone = (OPERATOR.name, ACTUATION.name, CONTROLLER.name)
     return folder / ("" if name in alone else "variants") / f"{name}.fmu"

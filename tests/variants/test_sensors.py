@@ -9,8 +9,8 @@ from kit.equations import Part
 from scipy.integrate import solve_ivp
 
 from fmus.controller.paths import start_angles
-from fmus.machine.build import build_machine
-from fmus.machine.parts import FERIC, with_faults
+from fmus.machine.build import harvester
+from fmus.machine.parts import FERIC, feric
 from fmus.machine.path_following import first_point, follow, read_machine
 from fmus.package_files import PACKAGE, data
 from fmus.sensors import noise, sensors
@@ -90,7 +90,7 @@ def test_faults_of_a_sensor():
 
 def test_a_machine_with_faults_has_sensors_for_all_that_its_controller_measures():
     """Each measured input of the controller comes from a reading; the other wires are the same."""
-    for made in (with_faults(), machine(faults=True)):
+    for made in (feric(faults=True), machine(faults=True)):
         wires, own = made.sensed(made.controller_wires), made.sensors.name
         into = {target: source for source, target in wires}
         for name in made.measured:
@@ -105,7 +105,7 @@ def test_a_machine_with_faults_has_sensors_for_all_that_its_controller_measures(
 def sensed(tmp_path_factory):
     """The machine with its controller behind sensors."""
     folder = tmp_path_factory.mktemp("sensed")
-    build_machine(folder, (2,), faults=True)
+    harvester(faults=True).write(folder)
     return load(folder / "harvester_sensors.ssp")
 
 
