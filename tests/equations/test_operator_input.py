@@ -127,7 +127,7 @@ def test_no_event_is_lost_in_a_whole():
 
 
 def test_the_shipped_program_is_the_work_cycle():
-    """parameters.toml is what `python -m fmus.machine.reference` writes."""
+    """parameters.toml is what `python -m benchmarks.reference` writes."""
     assert numbers(OPERATOR)["parameters"] == work_cycle.program_numbers()["parameters"]
 
 

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from kit.compile import compiled
 
+from benchmarks.reference import work_cycle
 from fmus.export.compile import HEADERS, PLATFORMS, host
-from fmus.machine.reference import work_cycle
 from fmus.machine.work_cycle import COMMANDS
 
 CODE = Path(__file__).parent / "c"

@@ -10,10 +10,10 @@ from kit.equations import Part
 from kit.fmu import driving
 from lxml import etree
 
+from benchmarks.reference import work_cycle
 from fmus.contract import quantities
 from fmus.machine.build import data
 from fmus.machine.parts import FERIC
-from fmus.machine.reference import work_cycle
 from fmus.machine.tables import variant_names
 from orchestrator import load
 

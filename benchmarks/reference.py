@@ -1,6 +1,6 @@
 """Reference results: the work cycle of the machine, and one reference experiment for each FMU (FMI-LS-REF).
 
-    python -m fmus.machine.reference DATA_FOLDER
+    python -m benchmarks.reference DATA_FOLDER
 
 writes scenarios and trace of the work cycle, the program of the operator, and the experiments. Run it after
 every change of equations or parameter values.
@@ -292,5 +292,5 @@ def main(folder: Path) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2 or not Path(sys.argv[1]).is_dir():
-        sys.exit("python -m fmus.machine.reference: expected one argument, the folder data")
+        sys.exit("python -m benchmarks.reference: expected one argument, the folder data")
     main(Path(sys.argv[1]))
