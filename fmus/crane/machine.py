@@ -28,13 +28,11 @@ from fmus.crane.description import ADDITIONS, NEW, OF_SUPPLY, CraneDescription, 
 from fmus.crane.manipulator import NAME, Dry, manipulator
 from fmus.crane.view import page_files
 from fmus.drives import cylinder, motor
-from fmus.drives.compensated import COMPENSATED
 from fmus.drives.cylinder import CYLINDER
-from fmus.drives.detailed import detailed, needed
-from fmus.drives.drive import Axis, Fidelity, part
-from fmus.drives.lumped import LUMPED
+from fmus.drives.detailed import needed
+from fmus.drives.drive import Axis, part
 from fmus.drives.motor import MOTOR
-from fmus.drives.quasistatic import QUASISTATIC
+from fmus.drives.variants import fidelity
 from fmus.faults import CYLINDER_ADDITIONS, MOTOR_ADDITIONS
 from fmus.machine.build import Build, with_values
 from fmus.machine.feasible import Mechanics
@@ -53,20 +51,14 @@ from orchestrator.base.text import MODELICA
 from orchestrator.check.rules.variables import C
 from orchestrator.ssp.system import System
 
-FIDELITIES: Mapping[str, tuple[Fidelity, str, str]] = {
-    "lumped": (
-        LUMPED,
-        "spool valves, hoses, cylinders and motors",
-        "below the first mode of the longest hose",
-    ),
-    "quasistatic": (QUASISTATIC, "without line dynamics", "motions below about 10 Hz"),
+FIDELITIES = {  # variant of the drives -> text and range of validity
+    "lumped": ("spool valves, hoses, cylinders and motors", "below the first mode of the longest hose"),
+    "quasistatic": ("without line dynamics", "motions below about 10 Hz"),
     "detailed": (
-        detailed(lambda _: 1),
         "spool dynamics, lines, air, relief valves",
         "modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
     ),
     "compensated": (
-        COMPENSATED,
         "compensated sections, counterbalance valves, crossover reliefs and holding brakes",
         "motions below about 10 Hz; no spool dynamics",
     ),
@@ -149,11 +141,11 @@ def drives(
         known = {**ADDITIONS, **({} if variant in OIL_COLUMNS else {"cushion": CushionWithoutColumn})}
         own = [(n, known[n]) for n in j.additions]
         axes.append(Axis(j.name, kind, moved, own_valve=True, additions=(*added, *own)))
-    of, (fidelity, text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
+    of, (text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
     if variant not in OIL_COLUMNS and any("cushion" in j.additions for j in joints):
         validity += "; no cushions"
     make = partial(part, name, axes, text=f"Hydraulic drives of {of}: {text}", validity=validity)
-    sub = make(fidelity)
+    sub = make(of_variant := fidelity(variant))
     of_swing, of_arm = swing.VARIANTS[variant], boom_stick.VARIANTS[variant]
     common = {**numbers(of_swing)["parameters"], **numbers(of_arm)["parameters"]}
     common = {**common, **_settings(crane, common), **crane.numbers["oil"]}
@@ -163,7 +155,7 @@ def drives(
     for j in joints:  # default: the number at the same place in the paper's swing or boom, or in their valve
         shipped, axis = (of_swing, swing.AXES) if j.drive == "motor" else (of_arm, boom_stick.AXES)
         known = nested(shipped.parameters, numbers(shipped)["parameters"])
-        like = vars(getattr(known, axis[0].name)) | {n: getattr(known, n) for n in fidelity.of_valve("")}
+        like = vars(getattr(known, axis[0].name)) | {n: getattr(known, n) for n in of_variant.of_valve("")}
         for full, default in _alike(getattr(names, j.name), like):
             short = full.removeprefix(f"{j.name}_")
             found[full] = sized[j.name].get(RENAMED.get(short, short)) or default or healthy(declared[full])
@@ -180,7 +172,7 @@ def drives(
     sub = replace(sub, numbers={"parameters": found, "start": start})
     if variant == "detailed":
         p = parameters(sub)
-        sub = replace(make(detailed(lambda axis: needed(axis, p))), numbers=sub.numbers)
+        sub = replace(make(fidelity(variant, lambda axis: needed(axis, p))), numbers=sub.numbers)
     return sub
 
 
