@@ -41,8 +41,8 @@ from fmus.machine.one_block import one_block
 from fmus.machine.path_following import TrackedMachine
 from fmus.machine.poses import outputs_at_start
 from fmus.machine.ssp import CONTROLLED, SENSED, SystemPlan
-from fmus.machine.work_cycle import Move, Stem, program
 from fmus.operator_input.model import AXES, operator
+from fmus.operator_input.work_cycle import Move, Stem, with_program
 from fmus.parameters import Number, numbers, parameters
 from fmus.supply import SUPPLY, supply
 from fmus.valve_actuation import actuation
@@ -260,15 +260,10 @@ def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:
 
 def _operator(crane: CraneDescription) -> Subsystem:
     """Each lever in turn, to and fro; the payload of the description is held."""
-    made = operator(tuple(j.name for j in crane.driven))
     moves: list[Move | Stem] = [Stem(0.0, crane.numbers["payload"]["payload_mass"].value, HELD)]
-    strokes = ((j.name, sign) for j in crane.driven for sign in (1, -1))
-    for k, (lever, sign) in enumerate(strokes):
-        moves.append(Move(lever, FIRST + APART * k, sign * STROKE, *RAMPS))
-    declared = quantities(made.parameters)
-    values, note = program(moves, made), "program of a crane"
-    found = {n: Number(x, declared[n].unit, "assumed", note) for n, x in values.items()}
-    return replace(made, numbers={"parameters": found, "start": {}})
+    for k, (j, sign) in enumerate((j, sign) for j in crane.driven for sign in (1, -1)):
+        moves.append(Move(j.name, FIRST + APART * k, sign * STROKE, *RAMPS))
+    return with_program(operator({j.name: "" for j in crane.driven}), moves, "program of a crane")
 
 
 def crane_build(crane: CraneDescription, parameters: Path | None = None, faults: bool = False) -> Build:

@@ -13,7 +13,7 @@ from fmus.machine.machine import ARM, Machine
 from fmus.machine.parts import feric
 from fmus.machine.poses import NOMINAL, controlled_poses, controller_set, outputs_at_start, parameter_sets
 from fmus.machine.ssp import SystemPlan, with_partners, write_systems
-from fmus.machine.work_cycle import DEFAULT, WORK_CYCLE_STOP
+from fmus.operator_input.work_cycle import DEFAULT, WORK_CYCLE_STOP
 from fmus.package_files import SUBFOLDERS, data
 from fmus.parameters import not_shipped, numbers, read_parameter_set, with_parameters
 from orchestrator.base.errors import Problem

@@ -7,7 +7,7 @@ from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER
 from fmus.faults import CYLINDER_ADDITIONS, MOTOR_ADDITIONS
 from fmus.machine.machine import Machine, with_faults
-from fmus.operator_input.model import OPERATOR
+from fmus.operator_input import OPERATOR
 from fmus.valve_actuation import ACTUATION, actuation
 
 

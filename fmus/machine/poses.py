@@ -10,9 +10,9 @@ from fmus.contract import Subsystem, quantities, symbolic
 from fmus.controller.harvester import arm_angles
 from fmus.controller.model import start_pressures
 from fmus.controller.paths import PATHS, Route, start
-from fmus.machine.work_cycle import PROGRAMS, program
 from fmus.manipulator import MANIPULATOR
-from fmus.operator_input.model import OPERATOR
+from fmus.operator_input import OPERATOR
+from fmus.operator_input.work_cycle import PROGRAMS, program
 from fmus.parameters import values
 
 JOINTS = ("boom", "stick")

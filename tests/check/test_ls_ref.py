@@ -22,7 +22,7 @@ from fmus.export.build import build
 from fmus.export.model_description import FOLDER, NRMSE_LIMIT, TOLERANCE, data_file, ls_ref_files
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import FAMILIES, FERIC
-from fmus.operator_input.model import OPERATOR
+from fmus.operator_input import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
 from fmus.valve_actuation import ACTUATION

@@ -11,7 +11,7 @@ from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.export.model_description import COMMUNICATION_STEP, data_file
 from fmus.machine.parts import FAMILIES
-from fmus.operator_input.model import OPERATOR
+from fmus.operator_input import OPERATOR
 from fmus.valve_actuation import ACTUATION
 from kit.fmu import Fmu, driving
 
