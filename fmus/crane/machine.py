@@ -278,19 +278,15 @@ def crane_build(crane: CraneDescription, parameters: Path | None = None, faults:
     return Build(machine, whole, plan, plan, files, note=note)
 
 
-def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose, Mechanics] | None:
-    """Names, start poses and mechanics of a crane that follows paths; None: the system is not one of a crane.
-
-    names   of the harvester
-    """
+def tracked(system: System) -> tuple[TrackedMachine, Pose, Mechanics] | None:
+    """Names, start poses and mechanics of a crane that follows paths; None: the system is none of a crane."""
     if (file := system.resources.get(SOURCE)) is None:
         return None
     crane = read(Path(str(file)), file.read())
     controlled(crane)  # tells why the machine has no controller
     machine, name = crane_machine(crane), system.name.removesuffix(CONTROLLED).removesuffix(SENSED)
     tip = ("crane_tip_radius", "crane_tip_height", crane.joints[0].coordinate)
-    own = replace(
-        names,
+    own = TrackedMachine(
         example=f"{name}{CONTROLLED}.ssp",
         alone="drives=lumped",
         tip=tuple(f"{NAME}.{n}" for n in tip),

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from fmus.controller.paths import start_angles
 from fmus.machine.build import harvester
 from fmus.machine.parts import FERIC, feric
-from fmus.machine.path_following import first_point, follow, read_machine
-from fmus.package_files import PACKAGE, data
+from fmus.machine.path_following import HARVESTER, first_point, follow
+from fmus.package_files import data
 from fmus.sensors import noise, sensors
 from orchestrator import load, run
 
@@ -127,7 +127,7 @@ def test_the_controller_draws_a_line_behind_sensors(sensed):
     The noise costs a few millimetres, by its seed (docs/faults.md). A boom angle that is 2 deg off puts the
     tip off by 2 deg times its distance from the boom pivot, 4 to 4.5 m: 0.14 to 0.16 m, and 15 mm.
     """
-    names, path = read_machine(PACKAGE / "controller/tracking.toml"), data("scenarios/line.csv")
+    names, path = HARVESTER, data("scenarios/line.csv")
     start = start_angles("line", first_point(path, names.path), {})
     found = follow(sensed, names, path, "lumped", True, start)
     assert found.largest < 15e-3
