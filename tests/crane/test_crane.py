@@ -1,6 +1,7 @@
 """Cranes from files: mistakes are told, FMUs are built, the co-simulation is the monolithic solution."""
 
 import re
+import runpy
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from crane.rigid_bodies import bodies
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
-from kit.cranes import EXAMPLES, changed, checked, crane, machine, solved
+from kit.cranes import CRANES, EXAMPLES, changed, checked, crane, machine, solved
 from kit.equations import Part
 from kit.mistakes import problem, table
 from kit.properties import examples
@@ -162,6 +163,12 @@ def test_the_machine_of_the_paper_has_its_holding_forces():
     # the head hangs below the tip, which changes no torque of its weight
     for name in ("boom_holding_force", "stick_holding_force", "boom_position", "stick_position"):
         assert shown[name] == pytest.approx(paper[name], rel=1e-12)
+
+
+def test_the_numbers_of_the_paper_are_typed_once():
+    """feric.toml is what feric.py writes from the parameters of the parts."""
+    written = runpy.run_path(str(CRANES / "feric.py"))["text"]()
+    assert (CRANES / "feric.toml").read_text(encoding="utf-8") == written
 
 
 @pytest.mark.parametrize(("pitch", "roll"), [(0.0, 0.0), (0.2, 0.0), (-0.1, 0.15)])
