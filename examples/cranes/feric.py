@@ -59,7 +59,8 @@ def joint(model: JointModel) -> Iterator[str]:
     yield f"centre = {[*link.centre]}\ninertia = {[*inertia]}\ndamping = {model.damping(p)}"
     if model.motor:
         of, line, part = turn.swing, turn.swing.line, "swing"
-        yield f'drive = "motor"\nmotor = {{ displacement = {of.motor_displacement}, ratio = {of.gear_ratio} }}'
+        yield 'drive = "motor"'
+        yield f"motor = {{ displacement = {of.motor_displacement}, ratio = {of.gear_ratio} }}"
     else:
         own, line, part = model.drive(p), getattr(oil, model.name).hose, "boom_stick"
         stroke, damping = model.piston(p)

@@ -39,8 +39,7 @@ def build(
     parameters   Parameter values that replace those of the parts (.toml), as written by identify; default:
                  none.
     only         Build only the FMUs whose names match, such as 'swing*'; default: all.
-    crane        Build the machine that this file (.toml) describes instead, see `harvester crane`: FMUs of
-                 its parts, the whole machine as one FMU, and its system.
+    crane        Build the machine that this file (.toml) describes instead, see `harvester crane`.
     faults       Build FMUs that have faults as inputs, such as boom_head_leak; a part is healthy while its
                  inputs are 0. They have the same names, so choose another folder with --out.
     shipped      Copy the FMUs and systems from the installed package instead of building them; they are for
