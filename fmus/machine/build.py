@@ -8,8 +8,8 @@ from pathlib import Path
 from fmus.contract import Subsystem, quantities
 from fmus.controller import controller
 from fmus.export.build import build_all
-from fmus.machine import one_block
 from fmus.machine.machine import ARM, Machine
+from fmus.machine.one_block import harvester_block
 from fmus.machine.parts import feric
 from fmus.machine.poses import NOMINAL, controlled_poses, controller_set, outputs_at_start, parameter_sets
 from fmus.machine.ssp import SystemPlan, with_partners, write_systems
@@ -129,7 +129,7 @@ def harvester(parameters: Path | None = None, faults: bool = False) -> Build:
         held = costs.get(sub.component, ())
         return (UNPOWERED, *held) if held and "supply_pressure" in quantities(sub.inputs) else held
 
-    return Build(machine, one_block.harvester(machine), operated, controlled, files, notes, wasm=True)
+    return Build(machine, harvester_block(machine), operated, controlled, files, notes, wasm=True)
 
 
 def with_values(

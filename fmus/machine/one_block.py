@@ -50,13 +50,13 @@ def one_block(
     )
 
 
-def harvester(machine: Machine = FERIC) -> Subsystem:
+def harvester_block(machine: Machine = FERIC) -> Subsystem:
     """The harvester composed of swing, boom_stick and manipulator, with their parameter values."""
     text = "Forestry harvester: swing, boom and stick drives and the manipulator as one block"
     return one_block(machine, text, Path(__file__).parent / machine.name, TEXTS)
 
 
 HIDDEN = tuple(hidden(FERIC))
-HARVESTER = harvester()
+HARVESTER = harvester_block()
 
-__all__ = ["HARVESTER", "harvester", "one_block"]
+__all__ = ["HARVESTER", "harvester_block", "one_block"]

@@ -10,7 +10,7 @@ from lxml import etree
 
 from fmus.export.build import build, packages
 from fmus.machine.build import harvester_machine
-from fmus.machine.one_block import harvester
+from fmus.machine.one_block import harvester_block
 from fmus.parameters import not_shipped
 from fmus.supply import SUPPLY
 from orchestrator import load, read_trace, run
@@ -69,7 +69,7 @@ def test_values_that_equal_the_shipped_ones_do_not_count(my_file):
 def test_each_fmu_knows_its_file_and_the_shipped_values(my_file, tmp_path):
     """Parts, variants, controller and the whole machine, in both versions; shipped FMUs say nothing."""
     machine = harvester_machine(my_file)
-    variant, whole = machine.families["swing"]["quasistatic"], (harvester(machine), machine.controller)
+    variant, whole = machine.families["swing"]["quasistatic"], (harvester_block(machine), machine.controller)
     for sub, name in ((variant, "valve_area"), *((sub, "swing_valve_area") for sub in whole)):
         assert not_shipped(sub)[name].shipped == 4e-5
     for package in packages(variant, 1e-3, 1.0, versions=[2, 3]).values():

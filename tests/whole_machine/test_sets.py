@@ -5,7 +5,7 @@ from kit import mistakes
 
 from fmus.contract import quantities
 from fmus.machine.build import harvester_machine
-from fmus.machine.one_block import harvester
+from fmus.machine.one_block import harvester_block
 from fmus.machine.parts import FAMILIES, FERIC
 from fmus.machine.poses import NOMINAL, POSES, parameter_sets, pose_set
 from fmus.manipulator import MANIPULATOR
@@ -68,7 +68,7 @@ def test_what_the_set_leaves_out_stays(machine):
 
 def test_the_whole_and_the_poses_follow(machine, changed):
     """The one block and the poses of the system are of the same machine as the parts."""
-    block = values(harvester(changed)).p
+    block = values(harvester_block(changed)).p
     assert (block["valve_area"], block["swing_initial_preload"], block["head_mass"]) == (4.1e-5, 1.2e6, 400.0)
     pose = parameter_sets(machine["manipulator"])[NOMINAL]
     assert pose == pose_set(POSES[NOMINAL], machine["manipulator"])
