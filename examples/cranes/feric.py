@@ -5,7 +5,6 @@
 The head is another one: the paper's is a point mass at the tip.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -50,32 +49,39 @@ pressure = {supply.pressure_setting}
 """
 
 
-def joint(model: JointModel) -> Iterator[str]:
-    """Lines of the table of a joint of the arm."""
-    p, turn, oil = (nested(sub.parameters, values(sub).p) for sub in (MANIPULATOR, SWING, BOOM_STICK))
-    link = model.link(p)
-    inertia = link.inertia[2:3] * 3 if model.motor else link.inertia[:3]  # of the column that about z counts
-    yield f'[{model.name}]\naxis = "{link.axis}"\nat = {[*link.at]}\nmass = {link.mass}'
-    yield f"centre = {[*link.centre]}\ninertia = {[*inertia]}\ndamping = {model.damping(p)}"
+def inline(**keys: object) -> str:
+    """A table on one line."""
+    return f"{{ {', '.join(f'{n} = {x}' for n, x in keys.items())} }}"
+
+
+def joint(model: JointModel) -> str:
+    """The table of a joint of the arm."""
+    p, turn, arm = (nested(sub.parameters, values(sub).p) for sub in (MANIPULATOR, SWING, BOOM_STICK))
+    link, of = model.link(p), turn.swing if model.motor else getattr(arm, model.name)
     if model.motor:
-        of, line, part = turn.swing, turn.swing.line, "swing"
-        yield 'drive = "motor"'
-        yield f"motor = {{ displacement = {of.motor_displacement}, ratio = {of.gear_ratio} }}"
+        part, valve, line, inertia = (
+            "swing",
+            turn.valve,
+            of.line,
+            link.inertia[2:3] * 3,
+        )  # only about z counts
+        drive = {"motor": inline(displacement=of.motor_displacement, ratio=of.gear_ratio)}
     else:
-        own, line, part = model.drive(p), getattr(oil, model.name).hose, "boom_stick"
-        stroke, damping = model.piston(p)
-        yield f'drive = "cylinder"\n[{model.name}.cylinder]\nbase = {[*own.base]}\npin = {[*own.rod]}'
-        yield f"closed = {own.closed}\nstroke = {stroke}\ndamping = {damping}"
-        yield f"bore = {getattr(oil, model.name).bore}\nrod = {getattr(oil, model.name).rod}"
-    valve = turn.valve if model.motor else oil.valve
-    yield f'[{model.name}.hydraulics]\npart = "{part}"\nhose = {line.length}\nhose_bore = {line.bore}'
-    yield f"valve = {valve.area}\ndead_band = {valve.dead_band}\n\n"
+        part, valve, line, inertia = "boom_stick", arm.valve, of.hose, link.inertia[:3]
+        mount, (stroke, damping) = model.drive(p), model.piston(p)
+        pins = {"base": [*mount.base], "pin": [*mount.rod], "closed": mount.closed, "stroke": stroke}
+        drive = {"cylinder": inline(**pins, bore=of.bore, rod=of.rod, damping=damping)}
+    keys = {"axis": f'"{link.axis}"', "at": [*link.at], "mass": link.mass, "centre": [*link.centre]}
+    keys |= {"inertia": [*inertia], "damping": model.damping(p), "drive": f'"{next(iter(drive))}"', **drive}
+    tubes = {"hose": line.length, "hose_bore": line.bore}
+    keys["hydraulics"] = inline(part=f'"{part}"', valve=valve.area, dead_band=valve.dead_band, **tubes)
+    return f"[{model.name}]\n" + "".join(f"{n} = {x}\n" for n, x in keys.items()) + "\n"
 
 
 def text() -> str:
     """The file."""
     arm, oil, supply = (SimpleNamespace(**values(sub).p) for sub in (MANIPULATOR, BOOM_STICK, SUPPLY))
-    joints = "".join("\n".join(joint(model)) for model in MANIPULATOR.model.joints)
+    joints = "".join(map(joint, MANIPULATOR.model.joints))
     return TEXT.format(joints=joints, arm=arm, oil=oil, supply=supply)
 
 
