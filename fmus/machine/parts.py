@@ -51,5 +51,3 @@ MACHINES: Mapping[str, Mapping[str, str]] = {
         "supply": "engine_pump",
     },
 }
-DRIVES = ("swing", "boom_stick")
-JOINT_SPEEDS = tuple(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick"))
