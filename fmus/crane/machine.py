@@ -267,7 +267,7 @@ def _operator(crane: CraneDescription) -> Subsystem:
 
 
 def crane_build(crane: CraneDescription, parameters: Path | None = None, faults: bool = False) -> Build:
-    """Of a crane; parameters: file of a parameter set, faults: whether the FMUs have faults as inputs."""
+    """What is built of a crane; the arguments are those of `fmus.machine.build.harvester`."""
     machine = with_values(crane_machine(crane, faults), parameters, partial(controller, crane))
     whole, plan = one_block(machine, f"Crane as one block: {crane.title}"), SystemPlan(STOP)
     files, note = {**page_files(crane), SOURCE: crane.file.read_bytes()}, ""

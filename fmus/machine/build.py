@@ -94,7 +94,7 @@ class Build:
             self.operated.stop,
             platforms,
             subfolders={sub.name: VARIANTS for sub in others},
-            wasm=[machine.name] * self.wasm,
+            wasm=[machine.name] if self.wasm else [],
             progress=progress,
         )
         paths = list[Path]()
@@ -113,7 +113,7 @@ def harvester_machine(parameters: Path | None = None, faults: bool = False) -> M
 
 
 def harvester(parameters: Path | None = None, faults: bool = False) -> Build:
-    """Of the harvester.
+    """What is built of the harvester.
 
     parameters  file of a parameter set (`fmus.parameters`) that replaces values of the parts
     faults      whether the FMUs have faults as inputs
