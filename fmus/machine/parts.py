@@ -51,3 +51,4 @@ MACHINES: Mapping[str, Mapping[str, str]] = {
         "supply": "engine_pump",
     },
 }
+DRIVES = ("swing", "boom_stick")
