@@ -21,15 +21,14 @@ from numpy.typing import NDArray
 from fmus.controller.paths import COLUMNS, Point, Route, controller_inputs, sample, start_angles
 from fmus.machine.feasible import MECHANICS
 from fmus.machine.parts import MACHINES
-from fmus.machine.path_following import read_machine
+from fmus.machine.path_following import HARVESTER
 from fmus.machine.sway import shaped
-from fmus.package_files import PACKAGE
 from orchestrator import Trace, load, run
 from orchestrator.base.signals import rms
 from orchestrator.ssp.swap import with_swaps
 
 MACHINE = Path("build/harvester_control.ssp")
-NAMES = read_machine(PACKAGE / "controller/tracking.toml")
+NAMES = HARVESTER
 KINDS: Mapping[str, Mapping[str, str]] = {
     "lumped, pendulum": {"manipulator": "pendulum"},
     "detailed": MACHINES["detailed"],

@@ -29,7 +29,7 @@ from matplotlib.figure import Figure
 from scipy.optimize import brentq
 
 from fmus.components.cylinder import areas, volumes
-from fmus.contract import Subsystem, nested, quantities, symbolic
+from fmus.contract import nested
 from fmus.crane.description import (
     DEFAULT,
     DRIVES,
@@ -41,6 +41,7 @@ from fmus.crane.description import (
 )
 from fmus.crane.manipulator import contacts, manipulator
 from fmus.joints import Mechanics
+from fmus.machine.poses import outputs_at_start
 from fmus.parameters import Number, values
 from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable
@@ -236,14 +237,6 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
     if mistakes:
         raise Mistakes(mistakes)
     return found
-
-
-def outputs_at_start(sub: Subsystem, payload: float = 0.0) -> Mapping[str, float]:
-    """Outputs of a manipulator at its start pose with a payload [kg]."""
-    model, v = symbolic(sub), values(sub)
-    u, p = list({**v.u, "payload_mass": payload}.values()), list(v.p.values())
-    y = model.function()(model.initial()(list(v.x.values()), u, p), u, p)[1].full()[:, 0]
-    return dict(zip(quantities(sub.outputs), map(float, y), strict=True))
 
 
 def _axis(

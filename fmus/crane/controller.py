@@ -22,11 +22,12 @@ from fmus.components.spool_valve import Valve
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities
 from fmus.controller.arm import COUNTER, Arm, Centring, ControlledAxis
 from fmus.controller.model import FILE, controller_of, controller_tables
-from fmus.crane.check import check, outputs_at_start
+from fmus.crane.check import check
 from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import TEXTS, crane_tip, joint_model, numbers_of
 from fmus.drives import cylinder, motor
 from fmus.machine.machine import Machine
+from fmus.machine.poses import outputs_at_start
 from fmus.parameters import Number, read, values
 from orchestrator.base.errors import Problem
 

@@ -11,6 +11,8 @@ from fmus.controller.harvester import ARM
 from fmus.controller.model import start_pressures
 from fmus.controller.paths import PATHS, start, start_angles
 from fmus.manipulator import MANIPULATOR
+from fmus.operator_input import OPERATOR
+from fmus.operator_input.work_cycle import PROGRAMS, program
 from fmus.parameters import values
 
 JOINTS = ("boom", "stick")
@@ -52,19 +54,23 @@ POSES: Mapping[str, Pose] = {
 }
 
 
+def outputs_at_start(sub: Subsystem, payload: float = 0.0, **parameters: float) -> Mapping[str, float]:
+    """Outputs of a manipulator at its start pose with a payload [kg], and other values of parameters."""
+    model, v = symbolic(sub), values(sub)
+    u, p = list({**v.u, "payload_mass": payload}.values()), list({**v.p, **parameters}.values())
+    y = model.function()(model.initial()(list(v.x.values()), u, p), u, p)[1].full()[:, 0]
+    return dict(zip(quantities(sub.outputs), map(float, y), strict=True))
+
+
 def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, float]:
     """Parameters and start values of a pose by `component.variable`.
 
     Start values of connected inputs are for tools that do not propagate values at initialisation. Piston
     positions are x(q) and holding forces G(q) / J, from the equations of the manipulator.
     """
-    model, v = symbolic(manipulator), values(manipulator)
-    angles = {"swing": pose.swing, "boom": pose.boom, "stick": pose.stick}
-    p = {**v.p, **{parameter(joint): angle for joint, angle in angles.items()}}
-    x, *u_p = (list(group.values()) for group in (v.x, v.u, p))
-    outputs = model.function()(model.initial()(x, *u_p), *u_p)[1].full()[:, 0]
-    y = dict(zip(quantities(manipulator.outputs), map(float, outputs), strict=True))
-    result = {f"manipulator.{parameter(joint)}": angle for joint, angle in angles.items()}
+    angles = {parameter(joint): getattr(pose, joint) for joint in ("swing", *JOINTS)}
+    y = outputs_at_start(manipulator, **angles)
+    result = {f"manipulator.{name}": angle for name, angle in angles.items()}
     for joint in JOINTS:
         force = y[f"{joint}_holding_force"]
         result |= {
@@ -73,6 +79,14 @@ def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, floa
             f"boom_stick.{joint}_holding_force": force,
         }
     return result
+
+
+def parameter_sets(manipulator: Subsystem = MANIPULATOR) -> dict[str, dict[str, float]]:
+    """Parameter sets by name, values by "component.variable": poses, programs of the operator."""
+    sets = {name: pose_set(pose, manipulator) for name, pose in POSES.items()}
+    for name, moves in PROGRAMS.items():
+        sets[name] = {f"{OPERATOR.name}.{p}": value for p, value in program(moves).items()}
+    return sets
 
 
 def controlled_poses(manipulator: Subsystem = MANIPULATOR) -> dict[str, Pose]:

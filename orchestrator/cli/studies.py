@@ -115,14 +115,13 @@ def track(
     from fmus.crane.machine import tracked
     from fmus.machine.feasible import MECHANICS
     from fmus.machine.parts import MACHINES
-    from fmus.machine.path_following import first_point, read_machine
+    from fmus.machine.path_following import HARVESTER, first_point
     from fmus.machine.path_following import track as run_study
-    from fmus.package_files import PACKAGE
     from orchestrator.ssp.load import load
 
-    names, mechanics, own = read_machine(PACKAGE / "controller/tracking.toml"), MECHANICS, False
+    names, mechanics, own = HARVESTER, MECHANICS, False
     machine = system_file(system, "harvester_control.ssp")
-    if crane := tracked(load(machine), names):
+    if crane := tracked(load(machine)):
         (names, mechanics), own = crane, True
         if not (path or through):
             harvester = f"{' and '.join(PATHS)} are paths of the harvester"

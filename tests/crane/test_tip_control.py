@@ -21,9 +21,8 @@ from fmus.controller.paths import start_angles, write_route
 from fmus.crane.controller import controlled
 from fmus.crane.description import read
 from fmus.crane.machine import crane_machine, tracked
-from fmus.machine.path_following import follow, read_machine
+from fmus.machine.path_following import follow
 from fmus.machine.sway import sway
-from fmus.package_files import PACKAGE
 from fmus.parameters import values
 from orchestrator import load
 
@@ -164,7 +163,7 @@ def test_the_sway_of_a_grapple_is_the_mean_of_its_axes():
 def test_the_loader_draws_a_line(loader_folder, tmp_path):
     """4 m in its plane with boom, jib and extension moving, valves with hysteresis: within 10 mm."""
     system = load(loader_folder / "loader_control.ssp")
-    names, mechanics = tracked(system, read_machine(PACKAGE / "controller/tracking.toml"))
+    names, mechanics = tracked(system)
     path, _ = write_route(["7.5,0,1", "3.5,0,1", "7.5,0,1"], 0.5, tmp_path)
     given = system.components["manipulator"].real_parameters()
     start = start_angles("", (7.5, 1.0, 0.0), given, mechanics.controller)

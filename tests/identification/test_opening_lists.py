@@ -15,7 +15,7 @@ from fmus.components import opening_curve
 from fmus.identification import pipeline
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
-from fmus.machine.build import parts_with_parameters
+from fmus.machine.build import harvester_machine
 from fmus.parameters import values
 from orchestrator import Trace, write_trace
 from orchestrator.__main__ import main
@@ -106,8 +106,7 @@ def test_a_dead_band_behind_tables_is_not_refined(monkeypatch):
 @pytest.mark.parametrize(("edge", "name"), [("P-A", "pa"), ("P-B", "pb")])
 def test_the_machine_opens_as_the_valve_does(identified, edge, name):
     """The component of the drives, with the numbers of the file, against the true opening."""
-    parts, _ = parts_with_parameters(identified[1])
-    p = values(parts["boom_stick"]).p
+    p = values(harvester_machine(identified[1]).components["boom_stick"]).p
     points = [f"{kind}_{k}" for kind in ("command", "opening") for k in range(1, 11)]
     table = SimpleNamespace(**{point: p[f"valve_{name}_{point}"] for point in points})
     pieces = opening_curve.pieces(table)

@@ -4,7 +4,7 @@ import pytest
 from kit import shards
 from native.bench import STANDARD, assert_same, cycle, drive, needs_gcc, numbers, run
 
-from fmus.machine.work_cycle import WORK_CYCLE_STOP
+from fmus.operator_input.work_cycle import WORK_CYCLE_STOP
 
 pytestmark = shards.c
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
-from fmus.machine.work_cycle import RATE
+from fmus.operator_input.work_cycle import RATE
 from fmus.rig.experiments import EXPERIMENTS, GROUPS, HOLD, MOTOR_HOLD, experiment
 from fmus.rig.instruments import Experiment, record
 

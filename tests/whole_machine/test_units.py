@@ -11,7 +11,7 @@ from kit.every import MACHINES
 from kit.mistakes import problem, refused
 
 from fmus.identification.recordings.reading import doubtful
-from fmus.machine.build import parts_with_parameters
+from fmus.machine.build import harvester_machine
 from orchestrator import batch, compare, linearize, load, read_recording, read_trace, reference, run, validate
 from orchestrator.__main__ import main
 from orchestrator.base import files
@@ -153,7 +153,7 @@ def test_a_parameter_file_in_another_unit_is_doubtful(tmp_path, capsys, monkeypa
     light = "my.toml: head_mass = 0.4 kg, usually about 350 kg; did you mean 0.4 t?"
     for mass, told in ((400, ""), (0.4, light)):
         file.write_text(f'[parameters."manipulator.head_mass"]\n{entry.format(mass)}', encoding="utf-8")
-        parts_with_parameters(file)
+        harvester_machine(file)
         assert told in capsys.readouterr().err
 
 
