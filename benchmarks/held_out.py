@@ -40,7 +40,8 @@ from fmus.machine.parts import FAMILIES
 from orchestrator import Coupling, Problem, Trace, load, reference, run
 from orchestrator.engine import open_job
 from orchestrator.engine import run as engine_run
-from orchestrator.engine.job import Job, RunEnd
+from orchestrator.engine.job import Job
+from orchestrator.engine.result import RunEnd
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
@@ -159,7 +160,7 @@ class Measured:
 
     def _noted(self, job: Job, *others: Any) -> RunEnd:
         end = self._simulate(job, *others)
-        (self.ends if job.execution.error_estimate else self.looks).append(end)
+        (self.ends if job.options.get("error_estimate") else self.looks).append(end)
         return end
 
 

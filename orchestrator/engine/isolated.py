@@ -28,7 +28,8 @@ from orchestrator.worker.process import GARBLED, LimitExceeded, Worker, read_fil
 
 if TYPE_CHECKING:
     from orchestrator.data.trace_writer import Array, Points, RowLayout, TraceSink
-    from orchestrator.engine.job import Job, RunEnd
+    from orchestrator.engine.job import Job
+    from orchestrator.engine.result import RunEnd
     from orchestrator.fmi.messages import LogMessage
     from orchestrator.worker.main import Channel
 
@@ -85,7 +86,7 @@ def start_process() -> None:
 def _contents() -> Mapping[str, Any]:
     """What the child may send."""
     from orchestrator.data.trace_writer import Array, Points, RowLayout
-    from orchestrator.engine.job import RunEnd
+    from orchestrator.engine.result import RunEnd
     from orchestrator.fmi.messages import LogMessage
 
     errors = tuple[tuple[str, ...], Array, Array]
@@ -146,9 +147,8 @@ class _Supervision:
     """One run in a child process, seen from the parent."""
 
     def __init__(self, worker: Worker, job: Job, sink: TraceSink, cores: int) -> None:
-        execution = job.execution
         self._worker, self._times, self._sink, self._t = worker, job.times, sink, job.times.start
-        self._limits, self._command_began = execution.worker_limits, execution.began
+        self._limits, self._command_began = job.worker_limits, job.command_began
         worker.fmus = job.system.fmus
         self._outputs = {str(port) for port in job.system.ports("output")}
         self._layout: RowLayout | None = None
@@ -248,7 +248,7 @@ class _Supervision:
         """The outcome of a run whose process ended: by a call into an FMU, by an interrupt, or at a limit."""
         from orchestrator.base.errors import Problem
         from orchestrator.base.text import grouped
-        from orchestrator.engine.job import RunEnd
+        from orchestrator.engine.result import RunEnd
         from orchestrator.fmi.messages import Log
 
         interrupted = self._interrupted and self._killed_because == "interrupted"
@@ -402,5 +402,5 @@ def _run(channel: Channel, task: RunTask) -> None:
             reason = error.strerror or str(error)
             raise Problem(f"{channel.folder}: a temporary file cannot be written: {reason}") from None
 
-    job = replace(task.job, execution=replace(task.job.execution, open=open_fmu))
+    job = replace(task.job, options={**task.job.options, "open": open_fmu})
     run_job(job, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate)

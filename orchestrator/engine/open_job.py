@@ -25,11 +25,12 @@ from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, in_process, library
 from orchestrator.engine.coupling_inputs import CouplingInputs
-from orchestrator.engine.job import ENDS_EARLY, Job, RunEnd, guarded
+from orchestrator.engine.job import ENDS_EARLY, Job, guarded, open_slave
 from orchestrator.engine.linear_system import ErrorPropagation, LinearPrediction
 from orchestrator.engine.network import Network, initialise
 from orchestrator.engine.own_master import Components
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
+from orchestrator.engine.result import RunEnd
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.cosimulation import RunningFmu
@@ -123,7 +124,7 @@ def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:
 @contextmanager
 def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> Iterator[SimulationLoop]:
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
-    signals = job.record.signals
+    signals = job.signals
     selected = None if signals is None else [job.system.port(name) for name in signals]
     library()  # raises Problem if there is none, before any FMU is opened
     _check_instances(job.system)
@@ -133,7 +134,7 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
         stack.callback(binding.restore_environment)
         with archive_kept_open():
             for name, component in job.system.components.items():
-                slaves[name] = slave = job.execution.open(component)
+                slaves[name] = slave = job.options.get("open", open_slave)(component)
                 stack.callback(slave.close)
                 binding.restore_environment(slave)
                 if isinstance(slave, RunningFmu):
@@ -174,10 +175,11 @@ def _rollback_notes(job: Job) -> tuple[str, ...]:
 
 def bonds_of(job: Job, network: Network) -> list[Bond]:
     """The requested bonds; default: those from units whose two inputs influence their components."""
-    if job.record.bonds is None:
+    bonds = job.options.get("bonds")
+    if bonds is None:
         influences = network.is_influential
         return [b for b in find_bonds(job.system) if influences(b.effort) and influences(b.flow)]
-    return [bond_of(job.system, *pair) for pair in job.record.bonds]
+    return [bond_of(job.system, *pair) for pair in bonds]
 
 
 def _check_instances(system: System) -> None:
@@ -237,7 +239,7 @@ class SimulationLoop:
         self.network, self.times = network, job.times
         self._binding, self.state = network.binding, network.binding.simulation
         master = job.coupling.method
-        estimate, plan = job.execution.error_estimate, master.planned(job.system, job.coupling)
+        estimate, plan = job.options.get("error_estimate", False), master.planned(job.system, job.coupling)
         self._plan = plan = plan.with_estimate(fast=estimate == "fast") if estimate else plan
         if master.step:
             network.binding.master = partial(Components(network).over, master)
@@ -265,7 +267,7 @@ class SimulationLoop:
         """Initialise all FMUs."""
         slaves, times = self.network.slaves, self.times
         driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
-        tolerances = {n: job.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
+        tolerances = {n: job.options.get("tolerance") or s.interface.tolerance for n, s in slaves.items()}
         stop = max(map(times.announced_stop, (1, *job.coupling.factors.values())))
         initialise(job.system, slaves, driven, (times.start, stop), tolerances)
         self._binding.logs = [slave.log for slave in slaves.values()]

@@ -7,7 +7,7 @@ processes (`one_by_one`).
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
@@ -24,9 +24,9 @@ from orchestrator.base.text import first_names
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, dataset
 from orchestrator.engine.arguments import BatchArguments
-from orchestrator.engine.job import Execution, Job
+from orchestrator.engine.job import Job, is_late
 from orchestrator.engine.result import Interrupted
-from orchestrator.engine.run import ScenarioSource, prepare
+from orchestrator.engine.scenario import ScenarioSource
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import LANES, NotInLanes
 from orchestrator.lanes.group import FAILED, NOT_RELIABLE, OK, Ended, Group, Lanes
@@ -119,11 +119,7 @@ def batch(
     """
     given = checked(BatchArguments, options, "batch")
     workers = given.pop("workers", None) or available_cores()
-    limits = {name: given.pop(name) for name in ("time_limit", "memory_limit") if name in given}
-    execution = Execution(**limits).begun()
-    execution.check()
-    job = prepare(system, scenario, record, Execution(isolate=False), **given)
-    job = replace(job, execution=replace(execution, isolate=False, tolerance=job.execution.tolerance))
+    job = Job.of(system, scenario, {**given, "record": record})
     if job.coupling.method.own:
         got = f"got {job.coupling.method.name}, whose functions are in the calling process"
         raise Problem(f"batch: expected one of the masters {', '.join(MASTERS)}, {got}")
@@ -133,8 +129,7 @@ def batch(
             "batch: expected a record step for adaptive steps, so that all machines have the same points"
         )
     arrays_in, count = machine_values(job, values)
-    record = job.record.signals
-    names = map(str, job.system.ports("output")) if record is None else record
+    names = map(str, job.system.ports("output")) if job.signals is None else job.signals
     signals = {name: job.system.port(name) for name in names}
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
@@ -255,19 +250,19 @@ def run_in_lanes(
             ended.update(group.run(first, values, rows, count))
 
     groups = [Group(lanes) for _ in range(max(1, min(workers, -(-count // LANES))))]
-    execution = lanes.job.execution
+    options = lanes.job.options
 
     def stop() -> None:
         for group in groups:
             group.stop()
 
     def watch() -> None:
-        if execution.late:
+        if is_late(options):
             stop()
 
     in_threads([partial(work, group) for group in groups], stop, watch)
-    if execution.late:
-        late = Ended(FAILED, f"not done within {execution.time_limit:g} s", math.nan)
+    if is_late(options):
+        late = Ended(FAILED, f"not done within {options['time_limit']:g} s", math.nan)
         ended = dict.fromkeys(unfinished(rows), late) | ended
     return ended
 

@@ -22,7 +22,7 @@ from orchestrator.base.processes import available_cores
 from orchestrator.base.progress import doing
 from orchestrator.data.table import Array
 from orchestrator.engine.coupling_inputs import CouplingInputs
-from orchestrator.engine.job import Job
+from orchestrator.engine.job import Job, open_slave
 from orchestrator.engine.network import Network
 from orchestrator.engine.open_job import bonds_of, step_control
 from orchestrator.engine.recorder import EnergyMonitor
@@ -76,7 +76,7 @@ class Instances:
         self.memory = aligned(sum(sizes))
         base = self.memory.ctypes.data
         create = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double)
-        tolerance = lanes.job.execution.tolerance or 0.0
+        tolerance = lanes.job.options.get("tolerance") or 0.0
         places = base + np.cumsum([0, *sizes[:-1]])
         pairs = zip(lanes.models, places.tolist(), strict=True)
         made = [create(model.struct.create)(place, tolerance) for model, place in pairs]
@@ -136,7 +136,7 @@ class Lanes:
         with ExitStack() as stack:
             slaves = {}
             for name, component in self.system.components.items():
-                slaves[name] = job.execution.open(component)
+                slaves[name] = open_slave(component)
                 stack.callback(slaves[name].close)
             self._network = Network(self.system, slaves, job.scenario, signals)
             self.at = self._network.binding.at

@@ -12,8 +12,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine.c_library import library
 from orchestrator.engine.isolated import run_isolated
-from orchestrator.engine.job import ENDS_EARLY, Job, Record
-from orchestrator.engine.run import finished
+from orchestrator.engine.job import ENDS_EARLY, Job, Options, is_late
 from orchestrator.lanes.group import EARLY, FAILED, NOT_RELIABLE, Ended
 from orchestrator.ssp.system import Port, System
 
@@ -44,18 +43,18 @@ def run_one_by_one(
 
     with temporary_folder("batch-", "the FMUs") as folder:
         (system,), originals = unpacked([job.system], folder)
-        record = Record([*map(str, signals)], job.record.step)
+        options: Options = {**job.options, "record": [*map(str, signals)]}
 
         def work() -> None:
             for machine in machines:
                 if stopped.is_set():
                     return
-                if job.execution.late:
-                    late = f"not begun within {job.execution.time_limit:g} s"
+                if is_late(options):
+                    late = f"not begun within {options['time_limit']:g} s"
                     ended[machine] = Ended(FAILED, late, job.times.start)
                     continue
                 own = _with_values(system, {port: float(array[machine]) for port, array in values.items()})
-                own_job, own_rows = replace(job, system=own, record=record), [row[machine] for row in rows]
+                own_job, own_rows = replace(job, system=own, options=options), [row[machine] for row in rows]
                 if end := _simulate(own_job, own_rows, points, between):
                     ended[machine] = replace(end, reason=with_originals(end.reason, originals))
 
@@ -69,14 +68,14 @@ def _simulate(job: Job, rows: Sequence[Array], points: Array, end: Callable[[flo
     sink.rows = 0  # until the run begins
     try:
         outcome = run_isolated(job, sink, end, cores=1)
-        result = finished(job, outcome, sink)
+        result = job.result(outcome, sink)
     except Problem as problem:
         return Ended(FAILED, " ".join(str(problem).split()), sink.last if sink.rows else job.times.start)
     finally:
         if sink.rows:
             trace, count = sink.trace, min(sink.rows, len(points))
             recorded = job.times.aligned(trace.time[:count]) == points[:count]
-            for row, name in zip(rows, job.record.signals or (), strict=True):
+            for row, name in zip(rows, job.signals or (), strict=True):
                 row[:count][recorded] = trace[name][:count][recorded]
     if reason := early_end(result.card.notes):
         return Ended(EARLY, reason, outcome.t)

@@ -12,8 +12,9 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 from orchestrator.data.trace import inside
+from orchestrator.engine.job import Job
 from orchestrator.engine.result import BondEnergy, bonds_above
-from orchestrator.engine.run import prepare, run
+from orchestrator.engine.run import run
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.batch import machine_values, recorded_times
 from orchestrator.lanes.compiled import LANES
@@ -95,8 +96,8 @@ def group_size(study: Study, case: StudyCase) -> int:
 def _lane_group(study: Study, case: StudyCase) -> tuple[Group, Grid]:
     """A group of machines of a case, and their communication points; raises Problem if that is impossible."""
     if id(case) not in _groups:
-        job = prepare(case.system, case.scenario, **_options(study, case))
-        lanes = Lanes(job, [job.system.port(name) for name in job.record.signals or ()])
+        job = Job.of(case.system, case.scenario, _options(study, case))
+        lanes = Lanes(job, [job.system.port(name) for name in job.signals or ()])
         _groups[id(case)] = case, Group(lanes), job.times
     return _groups[id(case)][1:]
 
