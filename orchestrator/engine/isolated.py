@@ -321,7 +321,7 @@ def main(channel: Channel) -> None:
     import traceback
 
     from orchestrator.base.errors import Problem
-    from orchestrator.engine import open_job  # noqa: F401  imported while the parent reads the system
+    from orchestrator.engine import simulation_loop  # noqa: F401  imported while the parent reads the system
     from orchestrator.engine.c_library import library
     from orchestrator.worker.main import left_behind
 
@@ -351,15 +351,15 @@ def main(channel: Channel) -> None:
 def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.base.errors import Problem
     from orchestrator.data.trace_writer import TraceSink
-    from orchestrator.engine import open_job
+    from orchestrator.engine import simulation_loop
     from orchestrator.engine.job import open_slave
-    from orchestrator.engine.open_job import run_job
+    from orchestrator.engine.simulation_loop import run_job
     from orchestrator.fmi.calls import Slave
     from orchestrator.ssp.system import Component
 
     os.chdir(task.directory)
     sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
-    open_job.CORES, reported = task.cores, 0.0
+    simulation_loop.CORES, reported = task.cores, 0.0
 
     class Sender(TraceSink):
         """Sends points to the parent."""

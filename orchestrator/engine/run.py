@@ -147,7 +147,9 @@ def simulate(job: Job, sink: TraceSink) -> RunEnd:
         if isolated(job.options):
             end = run_isolated(job, until or sink, between)
         else:
-            from orchestrator.engine.open_job import run_job  # a process that only supervises needs it not
+            from orchestrator.engine.simulation_loop import (
+                run_job,  # a process that only supervises needs it not
+            )
 
             end = run_job(job, until or sink, between)
         return until.ended(end) if until else end

@@ -24,10 +24,10 @@ from orchestrator.data.table import Array
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.job import Job, open_slave
 from orchestrator.engine.network import Network
-from orchestrator.engine.open_job import bonds_of, step_control
 from orchestrator.engine.recorder import EnergyMonitor
 from orchestrator.engine.result import BondEnergy, energies_above, unreliable_energies
 from orchestrator.engine.scenario import DrivenInputs
+from orchestrator.engine.simulation_loop import bonds_of, step_control
 from orchestrator.lanes.compiled import LANES, Model, NotInLanes, compiled_model, header, machines_library
 from orchestrator.ssp.masters import Plan
 from orchestrator.ssp.system import Component, Connection, Port, System

@@ -26,10 +26,10 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import JUMP, SAME_TIME, Trace
 from orchestrator.data.trace_writer import RowLayout, TraceSink
 from orchestrator.engine.job import Job, begun
-from orchestrator.engine.open_job import simulation
 from orchestrator.engine.recorder import EnergyMonitor
 from orchestrator.engine.result import SMALL_EXCHANGE, UNRELIABLE, energies_above
 from orchestrator.engine.scenario import ScenarioFile, ScenarioTable, values_over_time
+from orchestrator.engine.simulation_loop import simulation
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
 from orchestrator.realtime.setup import Axis, Setup, Task

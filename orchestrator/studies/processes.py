@@ -25,7 +25,7 @@ from orchestrator.base.files import Location, naming, zip_bytes
 from orchestrator.base.interrupts import DeferredInterrupts, in_threads
 from orchestrator.base.processes import machine_memory, remove_folder
 from orchestrator.base.text import first_names
-from orchestrator.engine import open_job
+from orchestrator.engine import simulation_loop
 from orchestrator.engine.c_library import library
 from orchestrator.lanes.one_by_one import unpacked, with_originals
 from orchestrator.studies.cases import Options, StudyCase, Unit
@@ -221,7 +221,7 @@ def run_units(
 
 def main(channel: Channel) -> None:
     """Child process: read the study, then samples that are run together, and send their outcomes."""
-    open_job.CORES = 1  # there is a process on every core
+    simulation_loop.CORES = 1  # there is a process on every core
     study, cases = channel.get()
     missing = ""
     try:

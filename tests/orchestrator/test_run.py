@@ -11,7 +11,7 @@ from kit.mistakes import problem, table
 from orchestrator import Coupling, Interrupted, Problem, Trace, run
 from orchestrator.base.errors import Ended
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
-from orchestrator.engine import open_job
+from orchestrator.engine import simulation_loop
 from orchestrator.engine.result import Card, signal_errors
 from orchestrator.engine.run import ProgressBar
 from orchestrator.fmi.description import FmuVariable
@@ -192,7 +192,7 @@ def test_card_counts_and_times(monkeypatch, oscillator):
     """Steps, simulated time, wall time and real-time factor, with a clock that goes on by 0.25 s a look."""
     clock = count()
     times = {"perf_counter": lambda: 0.25 * next(clock), "monotonic": lambda: 0.0}
-    monkeypatch.setattr(open_job, "time", SimpleNamespace(**times))
+    monkeypatch.setattr(simulation_loop, "time", SimpleNamespace(**times))
     card = run(oscillator, step=1e-2, stop=1.0, isolate=False).card
     assert (card.steps, card.simulated) == (100, 1.0)
     assert (card.wall, card.real_time_factor) == (0.25, 4.0)
