@@ -6,7 +6,7 @@
 
 1. The files of the last commit are copied to build/release, so that nothing else gets into the release.
 2. `harvester build --platform all` writes FMUs and systems, which go to fmus/built.tar.xz there.
-3. The libraries that commands load, or put into FMUs whose code is Python, go to orchestrator/compiled.
+3. The libraries that commands load go to orchestrator/compiled.
 4. Hatchling packs wheel and sdist. The sdist contains no built files.
 5. The zip contains the FMUs and systems, and the documentation page of each FMU.
 
@@ -133,15 +133,12 @@ def _archive() -> None:
 def _compile(platforms: Sequence[str]) -> None:
     """Libraries under the names by which `orchestrator.base.compiler` looks for them."""
     from fmus.export.compile import WASM, select
-    from fmus.export.compile import recipe as recipe_of_fmu
-    from fmus.export.python.build import library_source
     from orchestrator.base.compiler import COMPILED, shared_library, shipped_file
-    from orchestrator.engine.c_library import recipe as recipe_of_engine
+    from orchestrator.engine.c_library import recipe
 
     COMPILED.mkdir()
-    for platform in (name for name in select(platforms) if name != WASM):
-        for recipe in (recipe_of_engine(platform), recipe_of_fmu(*library_source(platform))):
-            shutil.copyfile(shared_library(*recipe), shipped_file(*recipe))
+    for arguments in (recipe(name) for name in select(platforms) if name != WASM):
+        shutil.copyfile(shared_library(*arguments), shipped_file(*arguments))
 
 
 def _pack() -> None:

@@ -150,8 +150,10 @@ INCLUDED = ".inc"  # model.c is model.c.inc in an FMU, so that only one .c file 
 # order in which the C files are included; all others follow in alphabetical order
 _ORDER = (
     *("start", "initial", "model", "inputs", "rosenbrock"),
-    *("runge_kutta", "solver", "core", "snapshot", "instance"),
+    *("runge_kutta", "solver", "equations", "core", "snapshot", "instance"),
 )
+# the hand-written files that evaluate and solve equations
+_EQUATIONS = ("rosenbrock.c", "runge_kutta.c", "solver.c", "equations.c")
 
 
 def native_sources(fmi: int) -> dict[str, str]:
@@ -169,13 +171,22 @@ def native_sources(fmi: int) -> dict[str, str]:
 
 
 def sources(
-    interface: Interface, guid: str, fmi: int, printed: PrintedEquations | None = None
+    interface: Interface,
+    guid: str,
+    fmi: int,
+    printed: PrintedEquations | None = None,
+    model: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
     """All C files of an FMU, name -> content; only `main_source` ends in .c, and includes the others.
 
     printed   the equations in C, if they are known
+    model     C files of a model without equations
     """
-    code = native_sources(fmi) | generated(interface, guid, printed)
+    code = native_sources(fmi)
+    if model is not None:
+        code = {name: text for name, text in code.items() if name not in _EQUATIONS} | dict(model)
+        printed = PrintedEquations("", "", dict.fromkeys(("NC", "NZ", "NJ", "NLU"), 0))
+    code |= generated(interface, guid, printed)
     names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
     names += sorted(name for name in code if name.endswith(".c") and name not in names)
     packed = {f"{name}{INCLUDED}" if name in names else name: text for name, text in code.items()}
@@ -262,6 +273,7 @@ def _sizes(interface: Interface, lengths: Mapping[str, int]) -> dict[str, tuple[
         "NP": (len(interface.parameters), "parameters"),
         "NU": (len(interface.inputs), "inputs"),
         "NX": (len(interface.states), "states"),
+        "NDX": (len(interface.derivatives), "derivatives of states: NX, or 0 if the model has no equations"),
         "NY": (len(interface.outputs), "outputs that are not states"),
         "NC": (lengths["NC"], "quantities that depend on parameters alone"),
         "NZ": (lengths["NZ"], "quantities that depend on states and parameters alone"),

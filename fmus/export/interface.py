@@ -55,6 +55,7 @@ class Interface:
     y: ca.SX  # expressions of `outputs`, shape (n, 1)
     stiff: bool = True  # see `Subsystem`
     sampling: float = 0.0  # see `Subsystem`
+    in_python: bool = False  # whether the code is Python, without equations
     not_shipped: Mapping[str, Number] = field(default_factory=dict)  # see `parameters.not_shipped`
 
     @property

@@ -73,6 +73,23 @@ CAPABILITIES: Mapping[int, Mapping[str, Mapping[str, str]]] = {
         },
     },
 }
+# FMI version -> attributes of CoSimulation of a sampled model or one in Python, and others of the latter
+_WHOLE_STEPS = {
+    2: {"maxOutputDerivativeOrder": "0"},
+    3: {
+        "maxOutputDerivativeOrder": "0",
+        "providesIntermediateUpdate": "false",
+        "canReturnEarlyAfterIntermediateUpdate": "false",
+    },
+}
+_IN_PYTHON = {
+    2: {"needsExecutionTool": "true", "providesDirectionalDerivative": "false"},
+    3: {
+        "needsExecutionTool": "true",
+        "providesDirectionalDerivatives": "false",
+        "hasEventMode": "false",
+    },
+}
 # group of unknowns in FMI 2 -> each unknown with its dependencies, each with its dependenciesKind
 Unknowns = Mapping[str, Sequence[tuple[Variable, Sequence[tuple[Variable, str]]]]]
 
@@ -84,7 +101,6 @@ def model_description(
     step: float,
     stop: float,
     sources: Sequence[str] = (),
-    capabilities: Mapping[str, Mapping[str, str]] | None = None,
     structure: Unknowns | None = None,
 ) -> bytes:
     """The content of modelDescription.xml, of FMI 2 or 3.
@@ -92,7 +108,6 @@ def model_description(
     token          the GUID (FMI 2) or instantiation token (FMI 3)
     step, stop     default experiment [s]
     sources        C files to compile, for FMI 2; FMI 3 lists them in buildDescription.xml
-    capabilities   ModelExchange and CoSimulation -> attributes; default: those of an FMU with C code
     structure      unknowns and dependencies for ModelStructure; default: derived from the equations
     """
     units = {v.quantity.unit for v in interface.variables}
@@ -106,7 +121,7 @@ def model_description(
         token=token,
         version=package_version(),
         generation_tool=generation_tool(),
-        capabilities=capabilities or _capabilities(interface, fmi),
+        capabilities=_capabilities(interface, fmi),
         sources=sources,
         units={name: (base_unit(name), display_conversion(name)) for name in sorted(units)},
         categories=LOG_CATEGORIES,
@@ -125,14 +140,17 @@ def model_description(
 
 
 def _capabilities(interface: Interface, fmi: int) -> Mapping[str, Mapping[str, str]]:
-    """Of an FMU with C code; a sampled one has no derivatives of outputs, and stops nowhere within a step."""
-    found = dict(CAPABILITIES[fmi])
-    if interface.sampling:
-        none = {"maxOutputDerivativeOrder": "0"}
-        if fmi == 3:
-            none |= {"providesIntermediateUpdate": "false", "canReturnEarlyAfterIntermediateUpdate": "false"}
-        found["CoSimulation"] = {**found["CoSimulation"], **none}
-    return found
+    """ModelExchange and CoSimulation -> attributes.
+
+    A sampled model, or one in Python, has no derivatives of outputs, and stops nowhere within a step. One in
+    Python has no derivatives at all, and no events.
+    """
+    found, others = CAPABILITIES[fmi], dict[str, str]()
+    if interface.sampling or interface.in_python:
+        others = _WHOLE_STEPS[fmi]
+    if interface.in_python:
+        found, others = {"CoSimulation": found["CoSimulation"]}, others | _IN_PYTHON[fmi]
+    return {kind: {**flags, **others} if kind == "CoSimulation" else flags for kind, flags in found.items()}
 
 
 def base_unit(unit: str) -> dict[str, str]:

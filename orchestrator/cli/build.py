@@ -32,7 +32,7 @@ def build(
                  my_actuator.py; default: the machine.
     out          Folder of the FMUs; those of FMI 3.0 go to the subfolder fmi3, FMUs whose code is Python to
                  the subfolder python.
-    fmi          FMI version: 2, 3 or both; an FMU of MODEL always has version 2.
+    fmi          FMI version: 2, 3 or both.
     platform     Platform of the binaries: host (this computer, the default), x86_64-linux, aarch64-linux,
                  x86_64-windows, x86_64-darwin, aarch64-darwin, all (these five), or wasm (adds a WebAssembly
                  module for browsers; harvester.fmu of FMI 3.0 always has one).
@@ -64,23 +64,20 @@ def build(
         _tell(copy_shipped(out, versions[fmi]))
         return
     copying = "; harvester build --shipped copies the FMUs in the package" if BUILT.is_file() else ""
-    # an FMU whose code is Python takes its library from the package
-    needed = [name for name in EXTRAS["build"] if model is None or name != "ziglang"]
-    require("build", "harvester build", *needed, advice="" if model else copying)
+    require("build", "harvester build", *EXTRAS["build"], advice="" if model else copying)
     from fmus.export.compile import WASM, select
 
     platforms = select(platform or ["host"])
     make_folder(out)
     if model is not None:
         from fmus.export.python.build import SUBFOLDER, build_user
+        from fmus.package_files import SUBFOLDERS
 
         if not model.endswith(".py"):
             raise Problem(
                 f"{model}: expected a file such as my_actuator.py; fmus.build(...) builds one of equations, "
                 "--crane a machine from the description of a crane (.toml)"
             )
-        if 2 not in versions[fmi]:
-            raise Problem(f"--fmi {fmi}: expected 2, because an FMU whose code is Python uses FMI 2.0")
         if parameters is not None:
             raise Problem(f"--parameters {parameters}: expected none with MODEL, which has its own values")
         if WASM in platforms:
@@ -88,7 +85,8 @@ def build(
                 f"--platform {WASM}: expected another one with MODEL: a browser has no Python for {model}"
             )
         # in a subfolder, so that no FMU with C code of the same name is overwritten
-        print(build_user(Path(model), out / SUBFOLDER, platforms=platforms))
+        for version in versions[fmi]:
+            print(build_user(Path(model), out / SUBFOLDERS[version] / SUBFOLDER, platforms, version))
         return
     from fmus.machine.build import build_machine
     from orchestrator.base.progress import doing

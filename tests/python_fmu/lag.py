@@ -18,6 +18,6 @@ def written(folder: Path, *changes: tuple[str, str], name: str = "lag.py") -> Pa
     return folder / name
 
 
-def built(folder: Path, *changes: tuple[str, str], name: str = "lag.py") -> Path:
+def built(folder: Path, *changes: tuple[str, str], name: str = "lag.py", fmi: int = 2) -> Path:
     """An FMU of such a file."""
-    return build_user(written(folder, *changes, name=name), folder / "out")
+    return build_user(written(folder, *changes, name=name), folder / "out", fmi=fmi)

@@ -39,19 +39,22 @@ def fault(where: str, *lines: str) -> tuple[str, str]:
     return where, f"\n{BY_HAND}".join([*lines, where])
 
 
-def test_it_is_a_lag(tmp_path):
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_it_is_a_lag(tmp_path, fmi):
     """Input, rate port, output and warning have the values that the model defines."""
-    path = built(tmp_path)
+    path = built(tmp_path, fmi=fmi)
     assert validate_fmu(str(path)) == []
     with driving(path, u=1.0, u_rate=2.0, w=0.5) as fmu:
         fmu.step(0.01)
         y = 0.01 * (1.0 + 2.0 * 0.005) / 0.1  # u in the middle of the step
         assert fmu.get("u", "y", "z") == pytest.approx([1.02, y, y + 0.5], rel=1e-15)  # the same operations
+        fmu.refuses(lambda: fmu.output_slopes("z"), "a model written by hand has no derivatives")
 
 
-def test_simulate_fmu_runs_it(tmp_path):
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_simulate_fmu_runs_it(tmp_path, fmi):
     """FMPy's simulate_fmu, as a user calls it."""
-    result = simulate_fmu(str(built(tmp_path)), stop_time=1.0, output_interval=1e-3)
+    result = simulate_fmu(str(built(tmp_path, fmi=fmi)), stop_time=1.0, output_interval=1e-3)
     # explicit Euler: 1 - 0.99^1000
     assert result["y"][-1] == pytest.approx(1 - 0.99**1000, rel=1e-12, abs=0)
 
@@ -162,16 +165,16 @@ def test_a_file_in_the_root_of_a_checkout_is_no_neighbour(tmp_path):
 
 
 def test_the_command_line_overwrites_no_native_fmu(tmp_path, capsys):
-    """A model with the name of a part is written to a subfolder; FMI 3.0 is refused."""
+    """A model with the name of a part is written to a subfolder, for both versions of FMI."""
     file, native = written(tmp_path, name="swing.py"), tmp_path / "build" / "swing.fmu"
     native.parent.mkdir()
     native.write_text("native", encoding="utf-8")
     command = ["build", str(file), "--out", str(native.parent)]
     assert main(command) == 0
-    assert capsys.readouterr().out == f"{native.parent / 'python' / 'swing.fmu'}\n"
+    paths = [native.parent / folder / "swing.fmu" for folder in ("python", "fmi3/python")]
+    assert capsys.readouterr().out.splitlines() == [str(path) for path in paths]
+    assert [read_model_description(str(path)).fmiVersion for path in paths] == ["2.0", "3.0"]
     assert native.read_text(encoding="utf-8") == "native"
-    assert main([*command, "--fmi", "3"]) == 2
-    assert "--fmi 3: expected 2, because an FMU whose code is Python uses FMI 2.0" in capsys.readouterr().err
 
 
 def test_ports_are_taken_from_the_part_that_a_model_stands_for():
@@ -201,7 +204,18 @@ def test_an_interrupt_reaches_the_program(tmp_path, capsys, where):
     with pytest.raises(KeyboardInterrupt):
         fmu.start(w=2.0).step(1e-3)
     fmu.fmu.freeInstance()
-    assert "[ERROR] interrupted by the user" in capsys.readouterr().out
+    assert ": interrupted by the user" in capsys.readouterr().out
+
+
+def test_variables_that_differ_from_the_build_are_refused(tmp_path, monkeypatch):
+    """A model whose groups follow its environment: an error, because the library has other arrays."""
+    last, more = "warn_above=100.0)]", "more: Annotated[float, Quantity('N', 'Another')] = 0.0"
+    choice = f"\n    if __import__('os').environ.get('MORE'):\n        {more}"
+    path = built(tmp_path, (last, last + choice))
+    monkeypatch.setenv("MORE", "1")
+    fmu = Fmu(path)
+    fmu.refuses(fmu.start, "other variables than at its build")
+    fmu.close()
 
 
 def test_values_out_of_bounds_are_refused(tmp_path):

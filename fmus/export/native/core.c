@@ -1,6 +1,5 @@
 #include "core.h"
 
-#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -40,61 +39,6 @@ LOCAL void core_reset(Core *core) {
     core_invalidate(core);
 }
 
-static void prepare(Core *core) {
-    if (!core->c_valid) model_prepare(core->s.u, core->s.p, core->c);
-    core->c_valid = 1;
-}
-
-SHARED void core_start(Core *core) {
-    prepare(core);
-    if (core->s.initial && !core->start_valid) {
-        double start[ROOM(NX)];
-        model_start(core->s.x, core->s.u, core->s.p, core->c, start);
-        memcpy(core->s.x, start, NX * sizeof *start);
-        core->start_valid = 1;
-        core_invalidate_states(core);
-    }
-}
-
-static void observe_states(Core *core) {
-    if (!core->z_valid) model_observe_states(core->s.x, core->s.p, core->c, core->y, core->z);
-    core->z_valid = 1;
-}
-
-LOCAL void core_derivatives(Core *core) {
-    const State *s = &core->s;
-    core_start(core);
-    if (core->dx_valid) return;
-    core->dx_valid = 1;
-    if (core->in_steps) {
-        observe_states(core);
-        model_derivatives(s->x, s->u, s->p, core->c, core->z, core->dx);
-    } else {
-        model_dynamics(s->x, s->u, s->p, core->c, core->dx);
-    }
-}
-
-LOCAL void core_outputs(Core *core) {
-    core_start(core);
-    observe_states(core);
-    if (!core->y_valid) model_observe(core->s.x, core->s.u, core->s.p, core->c, core->z, core->y);
-    core->y_valid = 1;
-}
-
-LOCAL void core_forward(Core *core, int starting) {
-    core_start(core);
-    const State *s = &core->s;
-    double *v = core->direction, *vx = v + FIRST_STATE, *vu = v + FIRST_INPUT;
-    double *vdx = v + FIRST_DERIVATIVE, *vy = v + FIRST_OUTPUT;
-    if (starting) {
-        double start[ROOM(NX)];
-        model_start_forward(s->x, s->u, s->p, core->c, vx, vu, v + FIRST_PARAMETER, start, vdx, vy);
-        memcpy(vx, start, NX * sizeof *start);
-    } else {
-        model_forward(s->x, s->u, s->p, core->c, vx, vu, vdx, vy);
-    }
-}
-
 /* ---- values ---------------------------------------------------------------------------------- */
 
 static double value_of(Core *core, int r) {
@@ -112,20 +56,13 @@ static double value_of(Core *core, int r) {
     return core->s.x[r - FIRST_STATE];
 }
 
-/* Computes the values that must be positive. */
-static void compute_requirements(Core *core) {
-    core_outputs(core);
-    model_require(core->s.x, core->s.u, core->s.p, core->c, core->z, core->require);
-}
-
 /* ---- inputs that move in steps -------------------------------------------------------------------- */
 
 /* An input that moved in fewer steps has jumped, which no rate input would tell. */
 enum { MOVING = 3 };
 
-/* Once in the log, and once as a warning when something else is reported, because held inputs may be its cause;
-   the input that moves most. */
-static void tell_held_inputs(Core *core, Status kind) {
+/* The input that moves most. */
+LOCAL void core_tell_held_inputs(Core *core, Status kind) {
     int most = -1;
     double largest = 0.0;
     for (int i = 0; i < NU && !(core->stepped.told & 1u << kind); i++) {
@@ -175,12 +112,19 @@ static void watch_held_inputs(Core *core, double length) {
         watch_rate(core, i, s->last_set[rate]);
     }
     core->stepped.length = length;
-    tell_held_inputs(core, OK);
+    core_tell_held_inputs(core, OK);
+}
+
+LOCAL int core_failed(Core *core) {
+    if (!*core->problem) return 0;
+    core_message(core, ERROR, "%s", core->problem);
+    *core->problem = '\0';
+    return 1;
 }
 
 /* Reports that a requirement is violated; returns 0. */
 static int violated(Core *core, int i) {
-    tell_held_inputs(core, WARNING);
+    core_tell_held_inputs(core, WARNING);
     core_message(core, ERROR, "requirement \"%s\" is violated at t = %.9g s: %.6g, expected > 0",
                  model_statements[i], core->s.time, core->require[i]);
     return 0;
@@ -193,8 +137,10 @@ LOCAL int core_get(Core *core, unsigned reference, double *value) {
         return 0;
     }
     *value = value_of(core, (int)reference);
+    if ((int)reference >= FIRST_STATE && core_failed(core)) return 0;
     if (isfinite(*value)) return 1;
-    compute_requirements(core);
+    core_require(core);
+    if (core_failed(core)) return 0;
     for (int i = 0; i < NREQUIRE; i++) /* a violated requirement explains the value better */
         if (core->require[i] <= 0.0) return violated(core, i);
     core_message(core, ERROR, "%s is %g at t = %.9g s, expected a finite number",
@@ -289,8 +235,9 @@ LOCAL double core_input_derivative(const Core *core, int input) {
     return rate < 0 || s->had_derivatives[input] ? s->end_derivative[input] : s->u[rate];
 }
 
-/* Taylor polynomials of the inputs around `tau` [s] after the start of the step; u: their values there. */
-static void plan_inputs(const State *s, const double *u, double tau, InputPolynomials *inputs) {
+LOCAL void core_plan_inputs(Core *core, const double *u, double tau) {
+    const State *s = &core->s;
+    InputPolynomials *inputs = &core->inputs;
     inputs->origin = tau;
     inputs->count = 0;
     memcpy(inputs->start, u, NU * sizeof *u);
@@ -325,7 +272,7 @@ static void watch(Core *core) {
         const int beyond = below ? -1 : fabs(value) > (1.0 + WARNING_MARGIN) * v->warn_above;
         if (beyond && beyond != core->s.beyond[k] && core->s.warnings[k] < MOST_WARNINGS) {
             const int last = ++core->s.warnings[k] == MOST_WARNINGS;
-            tell_held_inputs(core, WARNING);
+            core_tell_held_inputs(core, WARNING);
             core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is %s %g %s%s%s", v->name, value, v->unit,
                          core->s.time, below ? "below" : "above", below ? v->warn_below : v->warn_above, v->unit,
                          v->meaning, last ? "; no further warning of it follows" : "");
@@ -342,7 +289,8 @@ static int all_finite(const double *values, int count) {
 
 LOCAL int core_check_state(Core *core) {
     double value;
-    compute_requirements(core);
+    core_require(core);
+    if (core_failed(core)) return 0;
     if (!all_finite(core->s.x, NX))
         for (unsigned r = FIRST_STATE; r < FIRST_DERIVATIVE; r++)
             if (!core_get(core, r, &value)) return 0;
@@ -355,36 +303,7 @@ LOCAL int core_check_state(Core *core) {
     return 1;
 }
 
-static void report_failure(Core *core, const Report *report) {
-    const double time = core->s.time + report->tau;
-    const Variable *state = &model_variables[FIRST_STATE + report->worst];
-    tell_held_inputs(core, WARNING);
-    const double value = core->s.x[report->worst];
-    switch (report->outcome) {
-    case NOT_FINITE:
-        core_message(core, ERROR, "the derivative of %s is %g at t = %.9g s (%s = %.6g %s)", state->name,
-                     core->work.f0[report->worst], time, state->name, value, state->unit);
-        break;
-    case SINGULAR:
-        core_message(core, ERROR,
-                     "the linear system of the smallest inner step that was tried is singular at t = %.9g s",
-                     time);
-        break;
-    case TOO_MANY_STEPS:
-        core_message(core, ERROR,
-                     "more inner steps than allowed at t = %.9g s; the largest error is in %s = %.6g %s",
-                     time, state->name, value, state->unit);
-        break;
-    default:
-        core_message(core, ERROR,
-                     "tolerance %g not reached with an inner step of %.3g s at t = %.9g s; "
-                     "the largest error is in %s = %.6g %s",
-                     core->s.tolerance, report->step, time, state->name, value, state->unit);
-    }
-}
-
-/* Sets time and inputs to tau [s] after the start of the step. */
-static void set_time(Core *core, double begin, double tau) {
+LOCAL void core_set_time(Core *core, double begin, double tau) {
     State *s = &core->s;
     s->time = begin + tau;
     inputs_value(&core->inputs, tau, s->u);
@@ -393,78 +312,15 @@ static void set_time(Core *core, double begin, double tau) {
     core_invalidate_states(core);
 }
 
-typedef struct {
-    Core *core;
-    double begin; /* time at the start of the step */
-} StepContext;
-
-/* A StepCallback: the importer may read values, set inputs and end the step. */
-static double after_inner_step(void *owner, double tau, double length) {
-    const StepContext *context = owner;
-    Core *core = context->core;
-    set_time(core, context->begin, tau);
-    core->inputs_changed = 0;
-    const double end = core->intermediate_update(core->owner, context->begin + length) - context->begin;
-    if (core->inputs_changed) plan_inputs(&core->s, core->s.u, tau, &core->inputs);
-    return end < length ? fmax(tau, end) : length;
-}
-
-/* The states of a sampled model advance by Euler's method at each multiple of SAMPLING, as in a control unit;
-   memory.step is the time since the last sample. Returns the number of samples, or -1 after an error. */
-static int advance_samples(Core *core, double length) {
-    State *s = &core->s;
-    Work *w = &core->work;
-    double tau = SAMPLING - s->memory.step; /* of the next sample */
-    int count = 0;
-    for (; tau <= length + 1e-9 * SAMPLING; tau += SAMPLING, count++) {
-        inputs_value(&core->inputs, fmin(tau, length), w->u);
-        model_dynamics(s->x, w->u, s->p, core->c, w->f0);
-        for (int i = 0; i < NX; i++) {
-            s->x[i] += SAMPLING * w->f0[i];
-            if (isfinite(w->f0[i])) continue;
-            const Report report = {NOT_FINITE, tau, SAMPLING, i};
-            report_failure(core, &report);
-            return -1;
-        }
-    }
-    s->memory.step = length - (tau - SAMPLING);
-    return count;
-}
-
 LOCAL int core_step(Core *core, double length) {
     State *s = &core->s;
-    StepContext context = {core, s->time};
-    const StepCallback callback = {core->intermediate_update ? after_inner_step : 0, &context, 0};
-    const double minimum_step = fmax(1e-14 * length, DBL_MIN); /* a smaller one does not change the time */
-    double tau = length;
-    prepare(core);
+    const double begin = s->time;
     watch_held_inputs(core, length);
-    plan_inputs(s, s->last_set, 0.0, &core->inputs);
-    int observed = 0; /* 1: the states have not changed since z was computed */
-    if (SAMPLING > 0.0) {
-        const int samples = advance_samples(core, length);
-        if (samples < 0) return 0;
-        observed = core->z_valid && samples == 0;
-    } else if (NX > 0) {
-        if (EXPLICIT_FIRST) {
-            observe_states(core);
-            model_derivatives(s->x, s->last_set, s->p, core->c, core->z, core->work.f0);
-        }
-        const Report report = solve(s->x, s->p, core->c, &core->inputs, length, s->tolerance, minimum_step,
-                                    &callback, &s->memory, &core->work);
-        s->time = context.begin;
-        core_invalidate_states(core);
-        if (report.outcome != SOLVED) {
-            report_failure(core, &report);
-            return 0;
-        }
-        tau = report.tau;
-    }
-    set_time(core, context.begin, tau);
-    core->z_valid = observed;
+    core_plan_inputs(core, s->last_set, 0.0);
+    if (!core_advance(core, length)) return 0;
     memcpy(s->had_derivatives, s->has_derivatives, sizeof s->has_derivatives);
     memset(s->has_derivatives, 0, sizeof s->has_derivatives);
     if (core_check_state(core)) return 1;
-    s->time = context.begin;
+    s->time = begin;
     return 0;
 }

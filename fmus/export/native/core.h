@@ -13,6 +13,9 @@
 /* A looser tolerance saves no time, and on badly scaled curves the states become wrong. */
 #define LOOSEST_TOLERANCE 1e-3
 
+/* Room for the text of a problem. */
+enum { PROBLEM = 512 };
+
 /* The outcome of a call and the severity of a message, with the values of FMI 2 and 3. */
 typedef enum { OK, WARNING, DISCARD, ERROR } Status;
 
@@ -54,6 +57,7 @@ typedef struct Core {
         unsigned told; /* a bit for each Status with which it was told */
     } stepped;
     Work work;
+    char problem[PROBLEM]; /* why the model could not compute its values, until it is reported; else empty */
     const char *call; /* name of the FMI function that runs, for messages */
     void (*report)(void *owner, Status kind, const char *text);
     /* If not null: called after each inner step, when the values are those of the current time and inputs may be
@@ -86,19 +90,50 @@ LOCAL void core_set(Core *core, unsigned reference, double value);
 /* Time derivative of an input at the current time. */
 LOCAL double core_input_derivative(const Core *core, int input);
 
-SHARED void core_start(Core *core);       /* computes the initial states, before the initialisation is over */
-LOCAL void core_derivatives(Core *core); /* computes dx */
-LOCAL void core_outputs(Core *core);     /* computes y */
+/* Reports that the model could not compute its values, and returns 1; else 0. */
+LOCAL int core_failed(Core *core);
+
+/* Once in the log, and once as a warning when something else is reported, because they may be its cause: inputs that
+   move while their rate input stays 0. */
+LOCAL void core_tell_held_inputs(Core *core, Status kind);
+
+/* Taylor polynomials of the inputs around `tau` [s] after the start of the step; u: their values there. */
+LOCAL void core_plan_inputs(Core *core, const double *u, double tau);
+
+/* Sets time and inputs to tau [s] after the start of the step, which was at `begin`. */
+LOCAL void core_set_time(Core *core, double begin, double tau);
 
 /* Checks that the requirements hold and that states and outputs are finite; else 0 and a message. */
 LOCAL int core_check_state(Core *core);
 
-/* Directional derivatives of dx and y, from the directions of inputs and states. With `starting`: of the initial
-   states too, from the directions of parameters, inputs and start values. */
-LOCAL void core_forward(Core *core, int starting);
-
-/* Integrates over `length` seconds, or until `intermediate_update` ends the step; 0 and a message if it fails. */
+/* Advances over `length` seconds, or until `intermediate_update` ends the step; 0 and a message if it fails. */
 LOCAL int core_step(Core *core, double length);
+
+/* ---- the model: equations.c, or python_model.c if its code is Python */
+
+/* Loads what instances of this type need; null, or what is wrong, in PROBLEM bytes of `text`. */
+SHARED const char *core_load(int type, const char *resources, char *text);
+
+/* To be called after a message was logged. */
+SHARED void core_reported(void);
+
+SHARED void core_start(Core *core);       /* computes the initial states, before the initialisation is over */
+LOCAL void core_derivatives(Core *core); /* computes dx */
+LOCAL void core_outputs(Core *core);     /* computes y */
+LOCAL void core_require(Core *core);     /* computes y, and the values that must be positive */
+
+/* Directional derivatives of dx and y, from the directions of inputs and states; 0 and a message if there are none.
+   With `starting`: of the initial states too, from the directions of parameters, inputs and start values. */
+LOCAL int core_forward(Core *core, int starting);
+
+/* Time [s] of the next time event; infinite if there is none. */
+LOCAL double core_next_event(Core *core);
+
+/* Moves states, inputs and time to the end of a step of `length` seconds, or to where `intermediate_update` ends it;
+   0 and a message if that fails. */
+LOCAL int core_advance(Core *core, double length);
+
+/* ---- snapshot.c */
 
 /* Saved states as bytes: a header that identifies the model, then the state. */
 SHARED size_t snapshot_size(void);

@@ -181,12 +181,9 @@ Status exchange_nominals(Instance *self, double nominal[], size_t n) {
 /* Co-simulation has no time events: the importer chooses the steps. */
 int exchange_next_event(Instance *self, double *time) {
     const State *s = &self->core.s;
-    double delay;
     *time = 0.0;
     if (s->type != MODEL_EXCHANGE) return 0;
-    core_start(&self->core);
-    model_time_event(s->x, s->u, s->p, self->core.c, &delay);
-    const double next = s->time + delay;
+    const double next = core_next_event(&self->core);
     if (!isfinite(next) || !(next > s->time)) return 0; /* an event at the current time would repeat for ever */
     *time = next;
     return 1;

@@ -34,14 +34,16 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     const fmi2CallbackLogger logger = functions ? functions->logger : NULL;
     const fmi2ComponentEnvironment environment = functions ? functions->componentEnvironment : NULL;
     const int type = fmuType == fmi2CoSimulation ? CO_SIMULATION : MODEL_EXCHANGE;
-    (void)fmuResourceLocation, (void)visible;
-    const char *problem = instance_problem(instanceName, fmuGUID);
+    char text[PROBLEM];
+    (void)visible;
+    const char *problem = instance_problem(instanceName, fmuGUID, type, fmuResourceLocation, text);
     if (fmuType != fmi2ModelExchange && fmuType != fmi2CoSimulation)
         problem = "the type is neither model exchange nor co-simulation";
     Instance *self = problem ? NULL : instance_create(instanceName, type, loggingOn);
     if (!self) {
         if (!problem) problem = "out of memory";
         if (logger) write_log(logger, environment, instanceName ? instanceName : "", ERROR, problem);
+        core_reported();
         return NULL;
     }
     self->write = write2;

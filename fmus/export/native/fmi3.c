@@ -15,12 +15,14 @@ static void write3(const Instance *self, Status kind, const char *text) {
 
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
-static Instance *instantiate(const char *name, const char *token, int type, int logging, void *environment,
-                             fmi3LogMessageCallback logger) {
-    const char *problem = instance_problem(name, token);
+static Instance *instantiate(const char *name, const char *token, const char *resources, int type, int logging,
+                             void *environment, fmi3LogMessageCallback logger) {
+    char text[PROBLEM];
+    const char *problem = instance_problem(name, token, type, resources, text);
     Instance *self = problem ? NULL : instance_create(name, type, logging);
     if (!self) {
         if (logger) logger(environment, fmi3Error, instance_category(ERROR), problem ? problem : "out of memory");
+        core_reported();
         return NULL;
     }
     self->write = write3;
@@ -34,9 +36,9 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
                                           fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
                                           fmi3InstanceEnvironment instanceEnvironment,
                                           fmi3LogMessageCallback logMessage) {
-    (void)resourcePath, (void)visible;
-    return instantiate(instanceName, instantiationToken, MODEL_EXCHANGE, loggingOn, instanceEnvironment,
-                       logMessage);
+    (void)visible;
+    return instantiate(instanceName, instantiationToken, resourcePath, MODEL_EXCHANGE, loggingOn,
+                       instanceEnvironment, logMessage);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String instantiationToken,
@@ -47,9 +49,9 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          fmi3InstanceEnvironment instanceEnvironment,
                                          fmi3LogMessageCallback logMessage,
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
-    (void)resourcePath, (void)visible;
+    (void)visible;
     (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables; /* all are available */
-    Instance *self = instantiate(instanceName, instantiationToken, CO_SIMULATION, loggingOn,
+    Instance *self = instantiate(instanceName, instantiationToken, resourcePath, CO_SIMULATION, loggingOn,
                                  instanceEnvironment, logMessage);
     if (!self) return NULL;
     self->events = eventModeUsed;

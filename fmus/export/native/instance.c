@@ -29,6 +29,7 @@ const char *instance_category(Status kind) { return CATEGORIES[kind].name; }
 static void report(void *owner, Status kind, const char *text) {
     const Instance *self = owner;
     if (self->logger && (self->log & 1u << kind)) self->write(self, kind, text);
+    core_reported();
 }
 
 Status refuse(Instance *self, const char *format, ...) {
@@ -99,9 +100,9 @@ Status instance_set_log(Instance *self, int on, size_t n, const char *const cate
 
 /* ---- creation, setup, reset ------------------------------------------------------------------ */
 
-const char *instance_problem(const char *name, const char *guid) {
+const char *instance_problem(const char *name, const char *guid, int type, const char *resources, char *text) {
     if (!name || strspn(name, " \t\r\n") == strlen(name)) return "the instance name is empty";
-    return guid && strcmp(guid, model_guid) == 0 ? NULL : model_other_guid;
+    return guid && strcmp(guid, model_guid) == 0 ? core_load(type, resources, text) : model_other_guid;
 }
 
 static void initialise(Instance *self, int type) {
@@ -131,6 +132,7 @@ Status instance_setup(Instance *self, int tolerance_defined, double tolerance, d
     if (tolerance_defined && !(tolerance > 0.0 && tolerance < 1.0))
         return refuse(self, "the tolerance is out of range, expected > 0 and < 1");
     s->time = s->start_time = start_time;
+    core_invalidate_states(&self->core);
     s->stop_time = stop_defined ? stop_time : HUGE_VAL;
     s->tolerance = tolerance_defined ? fmin(tolerance, LOOSEST_TOLERANCE) : DEFAULT_TOLERANCE;
     return OK;

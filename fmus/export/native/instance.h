@@ -47,8 +47,8 @@ typedef struct Instance {
 
 /* ---- instance.c */
 
-/* What is wrong with the arguments of an instantiation, or null. */
-SHARED const char *instance_problem(const char *name, const char *guid);
+/* What is wrong with the arguments of an instantiation, or null; `text` has room for PROBLEM bytes. */
+SHARED const char *instance_problem(const char *name, const char *guid, int type, const char *resources, char *text);
 /* A new instance, or null if there is no memory; `type` is MODEL_EXCHANGE or CO_SIMULATION. */
 SHARED Instance *instance_create(const char *name, int type, int logging);
 /* The log category of messages with this status. */

@@ -71,7 +71,7 @@ Status values_directional(Instance *self, const unsigned unknown[], size_t n_unk
         if (!is_known(self, known[i])) return ERROR;
         core->direction[known[i]] += seed[i];
     }
-    core_forward(core, is_starting(self));
+    if (!core_forward(core, is_starting(self))) return ERROR;
     for (size_t i = 0; i < n_unknown; i++) {
         if (!is_unknown(self, unknown[i])) return ERROR;
         result[i] = core->direction[unknown[i]];
@@ -89,7 +89,7 @@ Status values_output_derivatives(Instance *self, const unsigned r[], size_t n, c
     core_derivatives(core);
     for (int i = 0; i < NX; i++) core->direction[FIRST_STATE + i] = core->dx[i];
     for (int i = 0; i < NU; i++) core->direction[FIRST_INPUT + i] = core_input_derivative(core, i);
-    core_forward(core, is_starting(self));
+    if (!core_forward(core, is_starting(self))) return ERROR;
     for (size_t i = 0; i < n; i++) {
         const Variable *v = r[i] < NUMBER_OF_VARIABLES ? &model_variables[r[i]] : NULL;
         if (!v || (v->kind != OUTPUT && v->kind != STATE && v->kind != CALCULATED_STATE))

@@ -1,20 +1,21 @@
 """Builds FMUs whose code is Python: a script with model.json, the library that calls it, documentation.
 
 The script defines a slave class of PythonFMU; if the package is missing, its message is what to install. The
-library is that of this project, not of PythonFMU: see docs/design.md, "The Python back end".
+library is that of FMUs with C code, with calls of Python in the place of equations and solver: see
+docs/design.md, "The Python back end".
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fmus.contract import Subsystem
-from fmus.export.build import PLACEHOLDER, common_files, guid_of
-from fmus.export.c_code import string
+from fmus.export.build import PLACEHOLDER, Files, common_files, guid_of
+from fmus.export.c_code import main_source, sources, string
 from fmus.export.compile import binaries, shared_library
-from fmus.export.model_description import CAPABILITIES, model_description
+from fmus.export.model_description import model_description
 from fmus.export.python.checks import checked
 from fmus.export.python.slave import MODEL_FILE
 from fmus.export.python.user_model import UserModel, declared_files, in_file, refuse_neighbours, structure
@@ -54,18 +55,18 @@ def script(name: str, text: str, version: str) -> str:
     return _SCRIPT.format(name=name, text=safe, version=version, title=f"{title}Slave")
 
 
-MAIN = "python_fmu.c"
 STEP, STOP = 1e-3, 10.0  # s, default experiment
 SUBFOLDER = "python"  # folder of FMUs in Python, next to those with C code
 RESERVED = (MODEL_FILE, "slavemodule.txt", "parameters.toml")  # names of files in resources/
 
 
-def build_user(path: Path, folder: Path, platforms: Sequence[str] | None = None) -> Path:
+def build_user(path: Path, folder: Path, platforms: Sequence[str] | None = None, fmi: int = 2) -> Path:
     """Write an FMU of the `Model` in a user's file to `folder`; returns its path.
 
     The FMU needs this package where it runs.
 
     platforms   names of `compile.PLATFORMS`; default: the platform that this program runs on
+    fmi         2 or 3
     """
     try:
         refuse_neighbours(path)
@@ -78,8 +79,8 @@ def build_user(path: Path, folder: Path, platforms: Sequence[str] | None = None)
             raise Problem(
                 f'{path.name}: files is not a plain list, expected one such as files = ("map.csv",)'
             )
-        files |= common_files(_subsystem(user, path), user.interface, 2, STEP, STOP)
-        return _write(folder, user, path.name, files, platforms or (host(),))
+        files |= common_files(_subsystem(user, path), user.interface, fmi, STEP, STOP)
+        return _write(folder, user, path.name, files, fmi, platforms or (host(),))
     except Problem as problem:
         raise in_file(problem, path) from None
 
@@ -114,63 +115,43 @@ def _subsystem(user: UserModel, path: Path) -> Subsystem:
 
 
 def _write(
-    folder: Path, user: UserModel, file: str, files: Mapping[str, bytes], platforms: Sequence[str]
+    folder: Path, user: UserModel, file: str, files: Files, fmi: int, platforms: Sequence[str]
 ) -> Path:
     """Write the FMU of a model to a folder; returns its path. `files`: further ones by path."""
     interface, name = user.interface, user.interface.name
-    model = {"name": name, "version": package_version(), "guid": PLACEHOLDER, "file": file}
-    flags = {
-        "needsExecutionTool": "true",
-        "providesDirectionalDerivative": "false",
-        "maxOutputDerivativeOrder": "0",
-    }
-    capabilities = {"CoSimulation": {**CAPABILITIES[2]["CoSimulation"], **flags}}
-    unknowns = structure(user)
-    description = model_description(interface, 2, PLACEHOLDER, STEP, STOP, (), capabilities, unknowns)
-    with_guid = {
+    card = {"name": name, "version": package_version(), "guid": PLACEHOLDER, "file": file}
+    description = model_description(interface, fmi, PLACEHOLDER, STEP, STOP, structure=structure(user))
+    code = sources(interface, PLACEHOLDER, fmi, model=python_code())
+    shown = {
         "modelDescription.xml": description.decode(),
-        f"resources/{MODEL_FILE}": json.dumps(model, indent=1),
+        f"resources/{MODEL_FILE}": json.dumps(card, indent=1),
     }
-    guid = guid_of(
-        [
-            with_guid,
-            {"resources/script": script(name, interface.description, "")},
-            {f"library/{file}": text.decode() for file, text in library_code().items()},
-            {path: text.decode() for path, text in files.items() if path.endswith(".py")},
-        ]
-    )
+    modules = {path: text.decode() for path, text in files.items() if path.endswith(".py")}
+    guid = guid_of([shown, code, {"resources/script": script(name, interface.description, "")}, modules])
     stem = f"slave_{name}_{guid[1:9]}"
+    encoded = {path: text.replace(PLACEHOLDER, guid).encode() for path, text in code.items()}
+    libraries = {p: shared_library(name, encoded, [main_source(name)], p, ("-lm", "-ldl")) for p in platforms}
     content = {
-        **{path: text.replace(PLACEHOLDER, guid).encode() for path, text in with_guid.items()},
+        **{path: text.replace(PLACEHOLDER, guid).encode() for path, text in shown.items()},
         "resources/slavemodule.txt": stem.encode(),
         f"resources/{stem}.py": script(name, interface.description, package_version()).encode(),
         **files,
-        **binaries(name, 2, {platform: library(platform) for platform in platforms}),
+        **binaries(name, fmi, libraries),
     }
     path = Path(folder) / f"{name}.fmu"
     write_zip(path, content)
     return path
 
 
-def library_code() -> dict[str, bytes]:
-    """The C files of the library by name; start.h contains start.py as a string."""
+def python_code() -> dict[str, str]:
+    """The C files of a model in Python by name; loader.h contains loader.py as a string."""
     folder = resources.files("fmus.export.python") / "native"
     code = {
         f.name: f.read_text(encoding="utf-8")
         for f in folder.iterdir()
         if f.name.endswith((".c", ".h", ".py"))
     }
-    lines = code.pop("start.py").splitlines()
+    lines = code.pop("loader.py").splitlines()
     text = "\n".join(f"    {string(line + chr(10))}" for line in lines)
-    code["start.h"] = f"/* start.py. Generated. */\n\nstatic const char START[] =\n{text};\n"
-    return {name: text.encode() for name, text in sorted(code.items())}
-
-
-def library(platform: str) -> bytes:
-    """The shared library for a platform, which is the same for all models."""
-    return shared_library(*library_source(platform))
-
-
-def library_source(platform: str) -> tuple[str, dict[str, bytes], list[str], str, tuple[str, ...]]:
-    """What the library is made from: arguments of `fmus.export.compile.shared_library`."""
-    return "python_fmu", library_code(), [MAIN], platform, ("-ldl",)
+    code["loader.h"] = f"/* loader.py. Generated. */\n\nstatic const char LOADER[] =\n{text};\n"
+    return code

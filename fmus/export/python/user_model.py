@@ -11,8 +11,8 @@
             return LagOutputs(y=x.y)
 
 The groups are frozen dataclasses with fields `Annotated[float, Quantity(unit, text)]`; the default of a field
-is the start value. `subgroup` selects fields of another group. `examples/my_subsystem` is an example. An
-instance runs a `UserModel`: the model with its FMI interface, and with checks of all that its methods return.
+is the start value. `subgroup` selects fields of another group. `examples/my_subsystem` is an example. The
+FMU calls a `UserModel`: the model with its FMI interface, and with checks of all that its methods return.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import inspect
 import math
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, is_dataclass, make_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, make_dataclass, replace
 from difflib import get_close_matches
 from itertools import product
 from numbers import Real
@@ -262,23 +262,11 @@ def _initial_states(model: Model, values: object, states: Collection[str]) -> Ma
     return values
 
 
-@dataclass(frozen=True)
-class InputPolynomials:
-    """Inputs over a step: u = sum over k of coefficients[k] tau^k, tau [s] since its start; shape (4, nu)."""
-
-    coefficients: Array
-
-    def value(self, tau: float) -> Array:
-        """Inputs at tau."""
-        m = self.coefficients
-        u: Array = m[0] + tau * (m[1] + tau * (m[2] + tau * m[3]))
-        return u
-
-
 class UserModel:
     """A model by hand with its interface; x states, u inputs, p parameters, t time [s].
 
-    statements   descriptions of the requirements, whose values must be positive
+    start_values   of x, u and p
+    statements     descriptions of the requirements, whose values must be positive
     """
 
     def __init__(self, model: Model) -> None:
@@ -289,8 +277,10 @@ class UserModel:
         self._only_outputs = [i for i, n in enumerate(self._outputs) if n not in states]
         self._state_outputs = [(i, states.index(n)) for i, n in enumerate(self._outputs) if n in states]
         groups = (self.interface.states, self.interface.inputs, self.interface.parameters)
-        x, u, p = (np.array([v.start or 0.0 for v in group]) for group in groups)
+        self.start_values = x, u, p = tuple(np.array([v.start or 0.0 for v in g]) for g in groups)
         self.statements = tuple(self._require(self.start(x, u, p), u, p))
+        equations = replace(self.interface.equations, statements=self.statements)
+        self.interface = replace(self.interface, equations=equations, in_python=True)
 
     def _groups(self, x: Array, u: Array, p: Array) -> tuple[Any, Any, Any]:
         m = self.model
@@ -331,12 +321,15 @@ class UserModel:
             )
         return {statement: self._number("require", statement, n) for statement, n in values.items()}
 
-    def advance(self, x: Array, p: Array, time: float, inputs: InputPolynomials, length: float) -> Array:
-        """States after `length` seconds: equal steps, none longer than `inner_step`."""
+    def advance(self, x: Array, inputs: Array, p: Array, time: float, length: float) -> Array:
+        """States after `length` seconds: equal steps, none longer than `inner_step`.
+
+        inputs   coefficients of their polynomials of the time since the start, constant first; shape (n, nu)
+        """
         count = max(1, math.ceil(length / self.model.inner_step - 1e-9))
         h = length / count
         for k in range(count):
-            u = inputs.value((k + 0.5) * h)
+            u = _polynomial(inputs, (k + 0.5) * h)
             after = self.model.step(*self._groups(x, u, p), time + k * h, h)
             x = self._values("step", after, self.model.State)
         return x
@@ -356,6 +349,13 @@ class UserModel:
             return float(value)
         except (TypeError, ValueError):
             raise problem from None
+
+
+def _polynomial(coefficients: Array, tau: float) -> Array:
+    value: Array = coefficients[-1]
+    for row in coefficients[-2::-1]:
+        value = row + tau * value
+    return value
 
 
 # ---- the file of a model -----------------------------------------------------------------------------

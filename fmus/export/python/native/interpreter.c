@@ -1,4 +1,3 @@
-#define _GNU_SOURCE
 #include "interpreter.h"
 
 #include <stdlib.h>
@@ -9,6 +8,10 @@
     "of a " PYTHON_LIBRARY
 
 #ifdef _WIN32
+/* without what has the names of our constants */
+#define WIN32_LEAN_AND_MEAN
+#define NOGDI
+#define NOUSER
 #include <windows.h>
 
 #define PYTHON_LIBRARY "python3xx.dll"

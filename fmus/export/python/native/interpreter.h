@@ -19,21 +19,18 @@ typedef struct PyObject PyObject;
     X(int, PyErr_ExceptionMatches, (PyObject *))                               \
     X(void, PyErr_Clear, (void))                                               \
     X(void, PyErr_SetInterrupt, (void))                                        \
-    X(void, Py_IncRef, (PyObject *))                                           \
     X(void, Py_DecRef, (PyObject *))                                           \
     X(PyObject *, PyImport_AddModule, (const char *))                          \
     X(PyObject *, PyModule_GetDict, (PyObject *))                              \
     X(PyObject *, Py_CompileString, (const char *, const char *, int))         \
     X(PyObject *, PyEval_EvalCode, (PyObject *, PyObject *, PyObject *))       \
     X(PyObject *, PyDict_GetItemString, (PyObject *, const char *))            \
-    X(PyObject *, PyObject_CallObject, (PyObject *, PyObject *))               \
+    X(PyObject *, PyObject_CallFunction, (PyObject *, const char *, ...))      \
+    X(PyObject *, PyObject_CallMethod, (PyObject *, const char *, const char *, ...)) \
     X(PyObject *, PyBytes_FromStringAndSize, (const char *, ptrdiff_t))        \
     X(char *, PyBytes_AsString, (PyObject *))                                  \
     X(ptrdiff_t, PyBytes_Size, (PyObject *))                                   \
-    X(PyObject *, PyTuple_New, (ptrdiff_t))                                    \
-    X(int, PyTuple_SetItem, (PyObject *, ptrdiff_t, PyObject *))               \
-    X(PyObject *, PyTuple_GetItem, (PyObject *, ptrdiff_t))                    \
-    X(long, PyLong_AsLong, (PyObject *))
+    X(const char *, PyUnicode_AsUTF8AndSize, (PyObject *, ptrdiff_t *))
 
 typedef struct {
 #define MEMBER(type, name, arguments) type(*name) arguments;

@@ -10,31 +10,26 @@ import urllib.parse
 import urllib.request
 from typing import Any
 
-ERROR = 3
-# This code runs for every instance, in one module: setdefault keeps the lock of the first instance. Without
-# the lock a thread could get a script that another thread has loaded only in part.
+# This code runs for every library, in one module: setdefault keeps the lock of the first one. Without the
+# lock a thread could get a script that another thread has loaded only in part.
 LOCK = globals().setdefault("LOCK", threading.RLock())
 
 
-def start(*arguments: bytes) -> tuple[int, bytes, Any]:
-    """Status, messages and dispatcher of a new instance; raises nothing except KeyboardInterrupt."""
+def load(location: str, guid: str) -> Any:
+    """The model of an FMU, or the reason as text; raises nothing except KeyboardInterrupt."""
     try:
-        name, guid, location, logging = (value.decode() for value in arguments)
         folder = find(location)
         environment = os.environ.get("VIRTUAL_ENV")  # of a program started from an activated environment
         if environment and importlib.util.find_spec("fmus") is None:
             for packages in ("lib/python{0}.{1}/site-packages", "Lib/site-packages"):
                 site.addsitedir(str(pathlib.Path(environment, packages.format(*sys.version_info))))
         with LOCK:
-            result: tuple[int, bytes, Any] = script(folder, guid).connect(name, guid, folder, logging == "1")
-        return result
+            return script(folder, guid).connect(folder, guid)
     except KeyboardInterrupt:
         raise
     except BaseException as problem:  # any exception must become a message
-        text = " ".join(str(problem).split())
-        text = text if isinstance(problem, ImportError) else f"{type(problem).__name__}: {text}"
-        text = text.replace("%", "%%").replace("#", "##")
-        return ERROR, f"{ERROR}logStatusError\0fmi2Instantiate: {text}\0".encode(), None
+        text = " ".join(str(problem).split()).encode("utf-8", "replace").decode()
+        return text if isinstance(problem, ImportError) else f"{type(problem).__name__}: {text}"
 
 
 def find(location: str) -> pathlib.Path:
