@@ -77,7 +77,8 @@ class Execution:
 
     error_estimate   "fast": without a measurement that needs two steps of each FMU by `hermite` and
                      `interface-jacobian`
-    time_limit       of all runs of a command together, see `begun`
+    time_limit       of all runs of a command together, see `begun`; otherwise of a run, without the start of
+                     its process
     memory_limit     [GB]
     open             a function other than `open_slave` needs this process
     until            condition that ends the run, see `engine.until`
@@ -116,7 +117,10 @@ class Execution:
 
     @property
     def began(self) -> float:
-        """When the command began, by `time.monotonic` [s]; of use only with a time limit."""
+        """When the command began, by `time.monotonic` [s]; of use only with a time limit.
+
+        Infinite if the limit is that of a run.
+        """
         return self.deadline - self.time_limit
 
     @property

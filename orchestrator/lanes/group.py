@@ -36,19 +36,22 @@ ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
 COMMON = ("target", "source", "source_component", "order", "autonomous", "noisy", "factor", "offset", "scale")
 COMPILING = "compiling the FMUs for this processor, which is done once; lanes=False compiles nothing"
-OK, EARLY, FAILED, NOT_RELIABLE = "ok", "early", "failed", "unreliable"
+OK, EARLY, FAILED, NOT_RELIABLE, INTERRUPTED = "ok", "early", "failed", "unreliable", "interrupted"
 
 
 @dataclass(frozen=True)
 class Ended:
     """Why a machine ended early, or is not reliable, and when it ended [s].
 
-    status   EARLY if an FMU asked for the end, NOT_RELIABLE if the machine came to its end, else FAILED
+    status   EARLY if an FMU asked for the end, NOT_RELIABLE if the machine came to its end, INTERRUPTED if
+             the user ended it, else FAILED
+    limit    time_limit or memory_limit, if that ended it
     """
 
     status: str
     reason: str
     time: float
+    limit: str = ""
 
 
 def aligned(size: int) -> NDArray[np.uint8]:

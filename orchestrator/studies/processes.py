@@ -1,49 +1,41 @@
-"""Child processes that run the samples of a study, so that a crash of an FMU ends only its own run.
+"""Runs the samples of a study on a computer, in processes and in lanes as `batch` does.
 
-A process gets the study and its systems, whose FMUs have been unpacked for all processes of a computer, and
-runs one sample after the other. It starts fast, because it imports neither pandas nor SciPy nor Dask.
+A crash of an FMU ends only its own run.
 """
 
 from __future__ import annotations
 
-import pickle
 import re
-import tempfile
-import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from math import inf
-from pathlib import Path
-from typing import Any
+from itertools import chain
+
+import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location, naming, zip_bytes
-from orchestrator.base.interrupts import DeferredInterrupts, in_threads
-from orchestrator.base.processes import machine_memory, remove_folder
-from orchestrator.base.text import first_names
-from orchestrator.engine import open_job
-from orchestrator.engine.c_library import library
-from orchestrator.lanes.one_by_one import unpacked, with_originals
-from orchestrator.studies.cases import Options, StudyCase, Unit
-from orchestrator.studies.single_run import RunOutcome, failed, outcomes
+from orchestrator.base.files import Location, zip_bytes
+from orchestrator.base.processes import machine_memory
+from orchestrator.engine.arguments import RunArguments
+from orchestrator.engine.job import Execution, Job
+from orchestrator.engine.run import prepare
+from orchestrator.lanes.batch import machine_values, recorded_times
+from orchestrator.lanes.compiled import LANES
+from orchestrator.lanes.group import FAILED, INTERRUPTED, NOT_RELIABLE, Lanes
+from orchestrator.lanes.many import Runs, in_threads
+from orchestrator.studies.cases import Options, Sample, StudyCase, Unit, signal
+from orchestrator.studies.single_run import RunOutcome, complete, failed, judged
 from orchestrator.studies.study import Study
-from orchestrator.worker.main import Channel, left_behind
-from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
 
-# Each process uses one thread, because there is a process on every core.
-ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")}
-CONTENTS = {"ready": str, "outcomes": tuple[list[RunOutcome], bool]}  # what a process may send
 STOPPED = re.compile(r"(time_limit|memory_limit) = ([\d.e+-]+): ")  # begins the reason of a stopped run
 WRITTEN = 1e-8  # relative rounding of a limit in a reason, of 9 digits
 MEMORY_SHARE = 0.25  # of the machine's memory, for one run without a limit of its own
 STORE_TIME = 1.5  # [s] between two times at which outcomes are stored: short to lose by a kill
 
 
-# ---- what the processes get
+# ---- what is run
 
 
 def digest(data: bytes) -> str:
@@ -61,21 +53,6 @@ class Payload:
     study: Study
     cases: Mapping[Options, StudyCase]
     archives: Mapping[Location, bytes]
-
-    def unpacked(self, folder: Path) -> tuple[dict[Options, StudyCase], dict[str, str]]:
-        """The cases with FMUs that are unpacked in a folder, and unpacked FMU -> original FMU."""
-        systems, originals = unpacked([case.system for case in self.cases.values()], folder, self._unpack)
-        pairs = zip(self.cases.items(), systems, strict=True)
-        return {options: replace(case, system=system) for (options, case), system in pairs}, originals
-
-    def _unpack(self, source: Location, folder: Path) -> None:
-        archive = folder.with_suffix(".fmu")
-        archive.write_bytes(self.archives[source])
-        try:
-            Location(archive).extract(folder)
-        except Problem as problem:  # with the name of the source instead of that of the copy
-            raise Problem(str(problem).replace(str(archive), str(source))) from None
-        archive.unlink()
 
 
 def payload(study: Study, cases: Mapping[Options, StudyCase]) -> Payload:
@@ -97,143 +74,100 @@ def _archive(source: Location) -> bytes:
 # ---- limits of a run
 
 
-def run_limits(study: Study) -> WorkerLimits:
-    """The limits of a run of a study on this machine."""
-    memory = MEMORY_SHARE * machine_memory() if study.memory_limit is None else 1e9 * study.memory_limit
-    return WorkerLimits(total_time=study.time_limit, memory=memory)
+def limits_of(study: Study) -> Mapping[str, float]:
+    """The limits of a run of a study on this machine, by the keys of its file, [s] and [GB]."""
+    memory = MEMORY_SHARE * machine_memory() / 1e9 if study.memory_limit is None else study.memory_limit
+    return {"time_limit": study.time_limit, "memory_limit": memory}
 
 
-def _by_key(limits: WorkerLimits) -> Mapping[str, float]:
-    """The limits by the keys of a study file and in its units, [s] and [GB]."""
-    return {"time_limit": limits.total_time, "memory_limit": limits.memory / 1e9}
-
-
-def limit_is_raised(reason: str, limits: WorkerLimits) -> bool:
+def limit_is_raised(reason: str, study: Study) -> bool:
     """Did a limit stop the run that failed for this reason, and is that limit larger now?"""
     stopped = STOPPED.match(reason)
-    return stopped is not None and _by_key(limits)[stopped[1]] > float(stopped[2]) * (1 + WRITTEN)
+    return stopped is not None and limits_of(study)[stopped[1]] > float(stopped[2]) * (1 + WRITTEN)
 
 
-# ---- the processes
+# ---- the runs
 
 
-class ProcessEnded(Exception):
-    """A process ended, or was stopped because it exceeded a limit."""
+class StudyRuns:
+    """The runs of a study on this computer: each in a process of its own, or several in lanes."""
 
+    def __init__(self, study: Study, cases: Mapping[Options, StudyCase]) -> None:
+        self._study, self._cases, self._runs = study, cases, Runs()
+        self._jobs, self._lanes = dict[Options, Job](), dict[Options, Lanes | None]()
+        self.stop, self.close = self._runs.stop, self._runs.close
 
-class RunProcesses:
-    """The processes of a study on this computer, started on demand, as many as threads call `run`."""
-
-    def __init__(self, payload: Payload) -> None:
-        """Unpack the FMUs."""
-        self._study, self._limits, self._stop = payload.study, run_limits(payload.study), threading.Event()
-        self._folder, self._idle = Path(tempfile.mkdtemp(prefix="sweep-")), deque[Worker]()
-        try:
-            with naming(self._folder):
-                cases, self._originals = payload.unpacked(self._folder)
-        except BaseException:
-            self.close()
-            raise
-        self._data = pickle.dumps((payload.study, cases), pickle.HIGHEST_PROTOCOL)
-        self._fmus = first_names(self._originals.values())
-
-    def stop(self) -> None:
-        """End all runs as soon as possible."""
-        self._stop.set()
-
-    def close(self) -> None:
-        """End all processes, and remove the FMUs; no thread calls `run` any more."""
-        with DeferredInterrupts():
-            while self._idle:
-                self._idle.pop().close()
-            remove_folder(self._folder)
+    def size(self, options: Options) -> int:
+        """How many samples with these options are run together: those of a group in lanes, or one."""
+        if options not in self._lanes:
+            self._lanes[options] = None
+            with suppress(Problem):
+                job = self._job(options)
+                self._lanes[options] = Lanes(job, [job.system.port(n) for n in job.record.signals or ()])
+        return LANES if self._lanes[options] else 1
 
     def run(self, unit: Unit) -> list[RunOutcome]:
-        """Run samples together; if they end their process or exceed a limit, each one by itself."""
-        process = self._process()
-        process.forget_printed()  # by the run before
-        process.put(unit)
-        try:
-            found, reusable = self._answer(process, self._limits)
-        except ProcessEnded as ended:
-            process.close()
-            if len(unit) > 1:
-                return [outcome for sample in unit for outcome in self.run((sample,))]
-            found, reusable = [failed(self._study, unit[0].run, str(ended))], False
-        if reusable:
-            self._idle.append(process)
-        else:
-            process.close()
-        return [replace(o, reason=with_originals(o.reason, self._originals)) for o in found]
+        """Run samples with equal options, several in lanes. One that fails there is run again by itself."""
+        began = time.perf_counter()
+        found: dict[int, RunOutcome] = {}
+        if len(unit) > 1:
+            with suppress(Problem):  # a value is not allowed: its own run tells the reason
+                found = self._in_lanes(unit)
+        outcomes = [found.get(sample.run) or self._alone(sample) for sample in unit]
+        wall = (time.perf_counter() - began) / len(unit)
+        return [replace(outcome, wall=wall) for outcome in outcomes]
 
-    def _answer(self, process: Worker, limits: WorkerLimits) -> Any:
-        """The answer of a process to the last message; raises ProcessEnded if it ends or is stopped."""
-        try:
-            for _, answer in process.messages(limits, self._stop):
-                return answer
-        except LimitExceeded as limit:
-            name = "time_limit" if limit.timed_out else "memory_limit"
-            raise ProcessEnded(f"{name} = {_by_key(limits)[name]:.9g}: {limit}") from None
-        raise ProcessEnded(process.report)
+    def _job(self, options: Options) -> Job:
+        """The job of a case, without the values of a sample."""
+        if options not in self._jobs:
+            study, case = self._study, self._cases[options]
+            record = list(dict.fromkeys(str(signal(case.system, o.signal)) for o in study.outputs))
+            execution = Execution(case.tolerance, isolate=False)
+            times: RunArguments = {"step": study.step, "stop": study.stop, "record_step": study.record_step}
+            job = prepare(case.system, case.scenario, record, execution, **times)
+            limits = limits_of(study)
+            execution = replace(
+                execution, time_limit=limits["time_limit"], memory_limit=limits["memory_limit"]
+            )
+            self._jobs[options] = replace(job, execution=execution)
+        return self._jobs[options]
 
-    def _process(self) -> Worker:
-        """An idle process, else a new one that has read the study."""
-        if self._stop.is_set():
-            raise Problem("the study is stopped")
-        with suppress(IndexError):
-            return self._idle.pop()
-        process = Worker(
-            "orchestrator.studies.processes:main", lambda: CONTENTS, "sweep", environment=ONE_THREAD
-        )
-        process.fmus = self._fmus
-        process.put(self._data)
+    def _alone(self, sample: Sample) -> RunOutcome:
+        """Run a sample; an error becomes its outcome."""
+        study, case = self._study, self._cases[sample.options]
         try:
-            problem = self._answer(process, WorkerLimits())
-        except ProcessEnded as ended:
-            problem = f"a process for runs could not be started: {ended}"
-        if problem:
-            process.close()
-            raise Problem(problem)
-        return process
+            job = self._job(sample.options)
+            result, end = self._runs.alone(replace(job, system=job.system.with_start(sample.factors)))
+            if result is None or (end and end.status in (FAILED, INTERRUPTED)):
+                reason = end.reason if end else ""
+                limit = f"{end.limit} = {limits_of(study)[end.limit]:.9g}: " if end and end.limit else ""
+                return failed(study, sample.run, f"{limit}{reason}")
+            outcome = complete(study, case, sample.run, result.time, result.trace.signals)
+            return judged(outcome, result.card.bonds, end)
+        except OSError:  # of this computer
+            raise
+        except Exception as error:  # a defect ends this run only
+            kind = "" if isinstance(error, Problem) else f"{type(error).__name__}: "
+            return failed(study, sample.run, f"{kind}{error}")
+
+    def _in_lanes(self, unit: Unit) -> dict[int, RunOutcome]:
+        """The outcomes of the samples that come to their end within the time limit of a run."""
+        study, options = self._study, unit[0].options
+        job, case, lanes = self._job(options), self._cases[options], self._lanes[options]
+        values, count = machine_values(job, {n: [float(s.factors[n]) for s in unit] for n in unit[0].factors})
+        assert lanes is not None
+        rows = [np.full((count, job.times.rows), np.nan) for _ in lanes.signals]
+        time, found = recorded_times(job.times), dict[int, RunOutcome]()
+        ends = self._runs.together(lanes, values, rows, 0, count, job.execution)
+        for i, (sample, (bonds, end)) in enumerate(zip(unit, ends, strict=True)):
+            if not end or end.status == NOT_RELIABLE:
+                signals = {str(port): values[i] for port, values in zip(lanes.signals, rows, strict=True)}
+                found[sample.run] = judged(complete(study, case, sample.run, time, signals), bonds, end)
+        return found
 
 
 def run_units(
-    payload: Payload, units: Sequence[Unit], workers: int, store: Callable[[list[RunOutcome]], None]
+    runs: StudyRuns, units: Sequence[Unit], workers: int, store: Callable[[list[RunOutcome]], object]
 ) -> None:
     """Run samples on this computer, those of a unit together; `store` gets their outcomes now and then."""
-    waiting, done, stored = iter(units), deque[RunOutcome](), -inf
-    with closing(RunProcesses(payload)) as processes:
-
-        def work() -> None:
-            for unit in waiting:
-                done.extend(processes.run(unit))
-
-        def keep() -> None:
-            nonlocal stored
-            if done and time.monotonic() - stored > STORE_TIME:
-                store([done.popleft() for _ in range(len(done))])
-                stored = time.monotonic()
-
-        in_threads([work] * min(workers, len(units)), processes.stop, keep)
-        if done:
-            store([*done])
-
-
-def main(channel: Channel) -> None:
-    """Child process: read the study, then samples that are run together, and send their outcomes."""
-    open_job.CORES = 1  # there is a process on every core
-    study, cases = channel.get()
-    missing = ""
-    try:
-        library()
-    except Problem as problem:
-        missing = str(problem)
-    channel.put("ready", missing)
-    while True:
-        unit: Unit = channel.get()
-        began = time.perf_counter()
-        before = left_behind(channel, threads=False)
-        found = outcomes(study, cases[unit[0].options], unit)
-        wall = (time.perf_counter() - began) / len(unit)
-        found = [replace(outcome, wall=wall) for outcome in found]
-        channel.put("outcomes", (found, left_behind(channel, threads=False) == before))
+    in_threads(runs.run, units, lambda some: store([*chain(*some)]), runs.stop, workers, STORE_TIME)

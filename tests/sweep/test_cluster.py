@@ -23,7 +23,6 @@ from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
 from orchestrator.studies import cluster
-from orchestrator.studies.cases import Sample
 from orchestrator.studies.parameter_study import sweep
 
 pytestmark = shards.faults
@@ -122,12 +121,9 @@ def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, tmp_path
 
 def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     """The command does not wait for ever, and says that it can go on."""
-    monkeypatch.setattr(cluster, "as_completed", lambda: Mock(**{"has_ready.return_value": False}))
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT", 0.0)
-    deserted = Mock(**{"nthreads.return_value": {}})
-    batches = cluster.Batches(deserted, "study", None, [(Sample(0, (), {}),)], lambda: None)
-    expected = r"^the Dask cluster has no workers left; finished runs are stored; the"
-    problem(lambda: next(batches.outcomes()), expected)
+    deserted = cluster.Places(Mock(**{"nthreads.return_value": {}}))
+    problem(deserted, r"^the Dask cluster has no workers left; finished runs are stored; the")
 
 
 # ---- a scheduler that is killed in the middle of a study: for real, all in processes of their own

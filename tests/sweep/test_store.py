@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from sweep.studies import GAIN, content, run, study
 
 from orchestrator.studies import store
 from orchestrator.studies.parameter_study import prepare
-from orchestrator.studies.processes import run_units
+from orchestrator.studies.processes import StudyRuns, run_units
 from orchestrator.studies.store import PARTIAL
 from orchestrator.studies.study import read
 
@@ -39,7 +40,8 @@ def rows(finished):
     """Run -> outcome, computed apart from any folder."""
     ready = prepare(read(finished / "study.toml"))
     found = []
-    run_units(ready.payload, [(sample,) for sample in ready.samples], 1, found.extend)
+    with closing(StudyRuns(ready.payload.study, ready.payload.cases)) as runs:
+        run_units(runs, [(sample,) for sample in ready.samples], 1, found.extend)
     return {row.run: row for row in found}
 
 
@@ -210,7 +212,7 @@ def test_a_run_stopped_at_its_time_limit_runs_again(file):
     text = text.replace("step = 0.01", "step = 2e-6")  # a run outlasts an interval between two checks
     file.write_text(f"time_limit = 1e-9\n{text}")
     results, _ = run(file)
-    again = [i for i, r in enumerate(results.table["reason"]) if r.startswith("time_limit = 1e-09: not done")]
+    again = [i for i, r in enumerate(results.table["reason"]) if r.startswith("time_limit = 1e-09: ")]
     assert again
     file.write_text(text)
     results, runs = run(file)

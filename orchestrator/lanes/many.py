@@ -1,0 +1,173 @@
+"""Many runs, several at a time: `many` hands out tasks, `Runs` has the processes and the groups of lanes.
+
+`batch` and the studies go through both: on threads of this process, or on another executor, such as that of a
+Dask cluster.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from math import nan
+from typing import TypeVar
+
+import numpy as np
+
+from orchestrator.base.errors import LimitReached, Problem
+from orchestrator.base.interrupts import POLL_INTERVAL, DeferredInterrupts
+from orchestrator.data.table import Array
+from orchestrator.data.trace_writer import TraceInMemory
+from orchestrator.engine.c_library import library
+from orchestrator.engine.isolated import processes, run_isolated
+from orchestrator.engine.job import ENDS_EARLY, Execution, Job
+from orchestrator.engine.result import BondEnergy, Interrupted, Result, RunFailed
+from orchestrator.engine.run import finished
+from orchestrator.lanes.compiled import LANES
+from orchestrator.lanes.group import EARLY, FAILED, INTERRUPTED, NOT_RELIABLE, Ended, Group, Lanes
+from orchestrator.ssp.system import Port
+
+Task = TypeVar("Task")
+Outcome = TypeVar("Outcome")
+BY_USER = Ended(INTERRUPTED, "by the user", nan)
+
+
+def many(
+    run: Callable[[Task], Outcome],
+    tasks: Iterable[Task],
+    keep: Callable[[list[Outcome]], object],
+    stop: Callable[[], object],
+    executor: Executor,
+    places: Callable[[], int],
+    failed: Callable[[Task, Exception], Outcome] | None = None,
+    interval: float = 0.0,
+) -> None:
+    """Run tasks on an executor; the first exception, or an interrupt, ends all.
+
+    keep       called with new outcomes, at intervals [s] and before an exception is raised
+    stop       ends the tasks that run, after an exception
+    places     so many tasks are there at once, which run or wait; called all the time; may raise an exception
+    failed     the outcome of a task that raised an exception, which it may raise again
+    interval   between two calls of `keep` [s]
+    """
+    waiting, running = deque(tasks), dict[Future[Outcome], Task]()
+    found, kept = list[Outcome](), -interval
+    with DeferredInterrupts() as interrupts, executor:
+        try:
+            while waiting or running:
+                for _ in range(min(places() - len(running), len(waiting))):
+                    task = waiting.popleft()
+                    running[executor.submit(run, task)] = task
+                for future in wait(running, POLL_INTERVAL, FIRST_COMPLETED).done:
+                    task, error = running.pop(future), future.exception()
+                    if failed and isinstance(error, Exception):
+                        found.append(failed(task, error))
+                    else:
+                        found.append(future.result())
+                if found and time.monotonic() - kept >= interval:
+                    new, found, kept = found, [], time.monotonic()
+                    keep(new)
+                interrupts.check()
+        except BaseException:
+            stop()
+            for future in running:
+                future.cancel()
+            raise
+        finally:
+            if found:
+                keep(found)
+
+
+def in_threads(
+    run: Callable[[Task], Outcome],
+    tasks: Sequence[Task],
+    keep: Callable[[list[Outcome]], object],
+    stop: Callable[[], object],
+    workers: int,
+    interval: float = 0.0,
+) -> None:
+    """`many` in threads of this process, for each of which one more task is ready."""
+    count = max(1, min(workers, len(tasks)))
+    many(run, tasks, keep, stop, ThreadPoolExecutor(count), lambda: 2 * count, interval=interval)
+
+
+class Runs:
+    """Runs in any number of threads: each in a process of its own, or several in the lanes of a core."""
+
+    def __init__(self) -> None:
+        library()  # raises the Problem of all runs if there is no engine
+        self._pool, self._stopped = processes(), False
+        self._idle, self._busy = defaultdict[Lanes, list[Group]](list), list[Group]()
+
+    def stop(self) -> None:
+        """End all runs as soon as possible."""
+        self._stopped = True
+        for group in [*self._busy]:
+            group.stop()
+
+    def close(self) -> None:
+        """End all processes; no run takes place any more."""
+        self._pool.close()
+
+    def alone(self, job: Job) -> tuple[Result | None, Ended | None]:
+        """The result of a run, None if it did not begin, and why it ended early or is not reliable."""
+        start, sink = job.times.start, TraceInMemory()
+        if job.execution.late:
+            return None, Ended(FAILED, f"not begun within {job.execution.time_limit:g} s", start)
+        try:
+            result = finished(job, run_isolated(job, sink, self._between, self._pool), sink)
+        except Problem as problem:
+            failed = isinstance(problem, RunFailed)
+            cause = problem.__cause__ if failed else problem
+            limit = cause.limit if isinstance(cause, LimitReached) else ""
+            end = Ended(FAILED, " ".join(str(problem).split()), sink.last if failed else start, limit)
+            return problem.result if isinstance(problem, RunFailed) else None, end
+        except KeyboardInterrupt as interrupt:
+            return interrupt.result if isinstance(interrupt, Interrupted) else None, BY_USER
+        card = result.card
+        early = [note.removeprefix(ENDS_EARLY) for note in card.notes if note.startswith(ENDS_EARLY)]
+        if early:
+            return result, Ended(EARLY, " ".join(early[0].split()), sink.last)
+        return result, Ended(NOT_RELIABLE, "; ".join(card.unreliable), sink.last) if card.unreliable else None
+
+    def _between(self, _: float) -> bool:
+        if self._stopped:
+            raise KeyboardInterrupt
+        return False
+
+    def together(
+        self,
+        lanes: Lanes,
+        values: Mapping[Port, Array],
+        rows: Sequence[Array],
+        first: int,
+        count: int,
+        execution: Execution,
+    ) -> list[tuple[list[BondEnergy], Ended | None]]:
+        """A group of machines from `first` on: their energies, and why they ended early or are not reliable.
+
+        values, rows   of all machines, as of `Group.run`; count: their number
+        """
+        idle = self._idle[lanes]
+        group = idle.pop() if idle else Group(lanes)
+        self._busy.append(group)
+        if self._stopped:
+            group.stop()
+        left = min(execution.time_limit, execution.deadline - time.monotonic(), threading.TIMEOUT_MAX)
+        limit = threading.Timer(left, group.stop)
+        limit.start()
+        try:
+            ended = group.run(first, values, rows, count)
+        finally:
+            limit.cancel()
+            self._busy.remove(group)
+        machines = range(first, min(first + LANES, count))
+        if group.struct.stop:  # which is for good
+            late = Ended(FAILED, f"not done within {execution.time_limit:g} s", nan)
+            why = BY_USER if self._stopped else late
+            ended = {i: why for i in machines if any(np.isnan(row[i, -1]) for row in rows)} | ended
+        else:
+            idle.append(group)
+        return [(group.energies(i - first), ended.get(i)) for i in machines]
