@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from unittest.mock import Mock
 
-import dask
 import psutil
 import pytest
 from distributed import Client, LocalCluster
@@ -34,10 +33,8 @@ MANY = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop =
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
     """The address of a scheduler with one worker in a process of its own, which is replaced when it dies."""
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        LocalCluster(1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50) as there,
-    ):
+    options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
+    with LocalCluster(1, **options) as there:
         yield there.scheduler_address
 
 
