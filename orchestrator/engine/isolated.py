@@ -251,8 +251,7 @@ class _Supervision:
 
     def _cause(self) -> str:
         """The FMU, what happened, and in which call, in one line."""
-        cause, where = self._killed_because or self._worker.ending, self._worker.where
-        cause = cause.replace("exit status", "the process ended with exit status")
+        cause, where = self._killed_because or self._worker.cause, self._worker.where
         if cause == "interrupted":
             return where
         process = (

@@ -11,12 +11,15 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack
+from dataclasses import replace
 from math import nan
 from typing import TypeVar
 
 import numpy as np
 
 from orchestrator.base.errors import LimitReached, Problem
+from orchestrator.base.files import Location, temporary_folder, write_whole, zip_bytes
 from orchestrator.base.interrupts import POLL_INTERVAL, DeferredInterrupts
 from orchestrator.data.table import Array
 from orchestrator.data.trace_writer import TraceInMemory
@@ -27,7 +30,7 @@ from orchestrator.engine.result import BondEnergy, Interrupted, Result, RunFaile
 from orchestrator.engine.run import finished
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import EARLY, FAILED, INTERRUPTED, NOT_RELIABLE, Ended, Group, Lanes
-from orchestrator.ssp.system import Port
+from orchestrator.ssp.system import Component, Port, System
 
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
@@ -93,13 +96,43 @@ def in_threads(
     many(run, tasks, keep, stop, ThreadPoolExecutor(count), lambda: 2 * count, interval=interval)
 
 
-class Runs:
-    """Runs in any number of threads: each in a process of its own, or several in the lanes of a core."""
+def archives_of(systems: Iterable[System]) -> dict[Location, bytes]:
+    """The FMUs of systems as bytes; those of an unpacked FMU, which is packed, do not depend on the time."""
+    sources = dict.fromkeys(c.source for s in systems for c in s.components.values() if c.source)
+    once: dict[bytes, bytes] = {}  # pickle sends an object only once
+    return {s: once.setdefault(content, content) for s in sources for content in (_archive(s),)}
 
-    def __init__(self) -> None:
+
+def _archive(source: Location) -> bytes:
+    if not source.is_folder:
+        return source.read()
+    return zip_bytes({name: source.member(name).read() for name in source.names()})
+
+
+class Runs:
+    """Runs in any number of threads: each in a process of its own, or several in the lanes of a core.
+
+    systems   with copies of their FMUs, which nobody changes meanwhile
+    """
+
+    def __init__(self, systems: Sequence[System], archives: Mapping[Location, bytes]) -> None:
         library()  # raises the Problem of all runs if there is no engine
         self._pool, self._stopped = processes(), False
         self._idle, self._busy = defaultdict[Lanes, list[Group]](list), list[Group]()
+        with ExitStack() as stack:
+            folder = stack.enter_context(temporary_folder("many-", "the FMUs"))
+            self._copies = {source: folder / f"{n:06}.fmu" for n, source in enumerate(archives)}
+            for source, copy in self._copies.items():
+                write_whole(copy, archives[source])
+            self.systems = [replace(s, components=self._copied(s)) for s in systems]
+            stack.callback(self._pool.close)
+            self._ends = stack.pop_all()
+
+    def _copied(self, system: System) -> dict[str, Component]:
+        components = system.components.items()
+        return {
+            n: replace(c, source=Location(self._copies[c.source])) if c.source else c for n, c in components
+        }
 
     def stop(self) -> None:
         """End all runs as soon as possible."""
@@ -108,8 +141,9 @@ class Runs:
             group.stop()
 
     def close(self) -> None:
-        """End all processes; no run takes place any more."""
-        self._pool.close()
+        """End all processes, and remove the FMUs; no run takes place any more."""
+        with DeferredInterrupts():
+            self._ends.close()
 
     def alone(self, job: Job) -> tuple[Result | None, Ended | None]:
         """The result of a run, None if it did not begin, and why it ended early or is not reliable."""
@@ -122,7 +156,10 @@ class Runs:
             failed = isinstance(problem, RunFailed)
             cause = problem.__cause__ if failed else problem
             limit = cause.limit if isinstance(cause, LimitReached) else ""
-            end = Ended(FAILED, " ".join(str(problem).split()), sink.last if failed else start, limit)
+            reason = " ".join(str(problem).split())
+            for source, copy in self._copies.items():
+                reason = reason.replace(str(copy), str(source))
+            end = Ended(FAILED, reason, sink.last if failed else start, limit)
             return problem.result if isinstance(problem, RunFailed) else None, end
         except KeyboardInterrupt as interrupt:
             return interrupt.result if isinstance(interrupt, Interrupted) else None, BY_USER

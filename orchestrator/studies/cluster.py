@@ -11,8 +11,7 @@ import pickle
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import chain
 from typing import Any
@@ -22,10 +21,9 @@ from distributed.client import ClosedClientError
 from distributed.scheduler import KilledWorker
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location, temporary_folder
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.lanes.many import many
-from orchestrator.studies.cases import StudyCase, Unit
+from orchestrator.studies.cases import Unit
 from orchestrator.studies.processes import STORE_TIME, Payload, StudyRuns, digest
 from orchestrator.studies.single_run import RunOutcome, failed
 
@@ -72,7 +70,7 @@ def client(scheduler: str) -> Iterator[Client]:
 
 
 class RunPlugin(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
-    """Plugin of a Dask worker, with the runs of a study and copies of its FMUs there."""
+    """Plugin of a Dask worker, with the runs of a study there."""
 
     def __init__(self, name: str, data: bytes) -> None:
         """name: name of the plugin in this cluster; data: pickled payload."""
@@ -80,35 +78,12 @@ class RunPlugin(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
 
     def setup(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """Read the study; called on the Dask worker."""
-        payload: Payload = pickle.loads(self._data)
-        self._ends = ExitStack()
-        folder = self._ends.enter_context(temporary_folder("sweep-", "the FMUs"))
-        self._copies = {source: folder / f"{n:06}.fmu" for n, source in enumerate(payload.archives)}
-        for source, copy in self._copies.items():
-            copy.write_bytes(payload.archives[source])
-        cases = {options: self._copied(case) for options, case in payload.cases.items()}
-        self._runs = StudyRuns(payload.study, cases)
-        self._ends.callback(self._runs.close)
-
-    def _copied(self, case: StudyCase) -> StudyCase:
-        """A case with the copies of its FMUs."""
-        components = {
-            name: replace(c, source=Location(self._copies[c.source])) if c.source else c
-            for name, c in case.system.components.items()
-        }
-        return replace(case, system=replace(case.system, components=components))
+        self.runs = StudyRuns(pickle.loads(self._data))
 
     def teardown(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """End all processes, including those that run a sample."""
-        self._runs.stop()
-        self._ends.close()
-
-    def run(self, unit: Unit) -> list[RunOutcome]:
-        """Run samples; reasons have the names of the original FMUs."""
-        outcomes = self._runs.run(unit)
-        for source, copy in self._copies.items():
-            outcomes = [replace(o, reason=o.reason.replace(str(copy), str(source))) for o in outcomes]
-        return outcomes
+        self.runs.stop()
+        self.runs.close()
 
 
 def run_unit(name: str, unit: Unit) -> list[RunOutcome]:
@@ -116,7 +91,7 @@ def run_unit(name: str, unit: Unit) -> list[RunOutcome]:
     plugin = get_worker().plugins.get(name)
     if not isinstance(plugin, RunPlugin):
         raise Problem(f"worker {get_worker().address}: expected the plugin {name}, got none")
-    return plugin.run(unit)
+    return plugin.runs.run(unit)
 
 
 def run_units(

@@ -29,10 +29,11 @@ from orchestrator.base.processes import available_cores
 from orchestrator.base.text import TextTable, display_unit, grouped
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import EARLY, FAILED, NOT_RELIABLE, OK
+from orchestrator.lanes.many import archives_of
 from orchestrator.studies import design, store
 from orchestrator.studies.analysis.output_samples import without_numbers
 from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
-from orchestrator.studies.processes import Payload, StudyRuns, payload, run_units
+from orchestrator.studies.processes import Payload, StudyRuns, run_units
 from orchestrator.studies.single_run import RunOutcome
 from orchestrator.studies.study import Study, read
 
@@ -69,7 +70,8 @@ def prepare(study: Study) -> PreparedStudy:
     resolved, cases = resolve(study)
     table = design.table(resolved)
     runs = design.runs(resolved, table, cases)
-    return PreparedStudy(payload(resolved, cases), table, runs, doubts(resolved, cases))
+    payload = Payload(resolved, cases, archives_of(case.system for case in cases.values()))
+    return PreparedStudy(payload, table, runs, doubts(resolved, cases))
 
 
 def sweep(
@@ -135,7 +137,7 @@ def _run_missing(
 
     try:
         if client is None:
-            with closing(StudyRuns(prepared.payload.study, prepared.payload.cases)) as runs:
+            with closing(StudyRuns(prepared.payload)) as runs:
                 run_units(runs, missing(units_of(prepared, runs.size)), workers, keep)
         else:
             from orchestrator.studies import cluster

@@ -16,7 +16,7 @@ from itertools import chain
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location, zip_bytes
+from orchestrator.base.files import Location
 from orchestrator.base.processes import machine_memory
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.job import Execution, Job
@@ -35,9 +35,6 @@ MEMORY_SHARE = 0.25  # of the machine's memory, for one run without a limit of i
 STORE_TIME = 1.5  # [s] between two times at which outcomes are stored: short to lose by a kill
 
 
-# ---- what is run
-
-
 def digest(data: bytes) -> str:
     """SHA-256 digest."""
     return sha256(data).hexdigest()
@@ -45,33 +42,11 @@ def digest(data: bytes) -> str:
 
 @dataclass(frozen=True)
 class Payload:
-    """A study, its systems, and their FMUs, so that no file has to exist on the computer of a process.
-
-    archives  location of an FMU in the systems -> the bytes of its archive
-    """
+    """A study, its systems, and their FMUs, so that no file has to exist on the computer of a run."""
 
     study: Study
     cases: Mapping[Options, StudyCase]
     archives: Mapping[Location, bytes]
-
-
-def payload(study: Study, cases: Mapping[Options, StudyCase]) -> Payload:
-    """The payload of a study."""
-    components = (c for case in cases.values() for c in case.system.components.values())
-    sources = dict.fromkeys(c.source for c in components if c.source)
-    archives = {source: _archive(source) for source in sources}
-    once = {content: content for content in archives.values()}  # pickle sends an object only once
-    return Payload(study, cases, {source: once[content] for source, content in archives.items()})
-
-
-def _archive(source: Location) -> bytes:
-    """The bytes of an FMU; an unpacked FMU is packed, with bytes that do not depend on the time."""
-    if not source.is_folder:
-        return source.read()
-    return zip_bytes({name: source.member(name).read() for name in source.names()})
-
-
-# ---- limits of a run
 
 
 def limits_of(study: Study) -> Mapping[str, float]:
@@ -92,8 +67,11 @@ def limit_is_raised(reason: str, study: Study) -> bool:
 class StudyRuns:
     """The runs of a study on this computer: each in a process of its own, or several in lanes."""
 
-    def __init__(self, study: Study, cases: Mapping[Options, StudyCase]) -> None:
-        self._study, self._cases, self._runs = study, cases, Runs()
+    def __init__(self, payload: Payload) -> None:
+        systems = [case.system for case in payload.cases.values()]
+        self._study, self._runs = payload.study, Runs(systems, payload.archives)
+        pairs = zip(payload.cases.items(), self._runs.systems, strict=True)
+        self._cases = {options: replace(case, system=system) for (options, case), system in pairs}
         self._jobs, self._lanes = dict[Options, Job](), dict[Options, Lanes | None]()
         self.stop, self.close = self._runs.stop, self._runs.close
 

@@ -34,7 +34,7 @@ def results(study, tmp_path_factory):
 def begun(study):
     """The study, ready to run, and its runs."""
     prepared = prepare(study)
-    return prepared, StudyRuns(prepared.payload.study, prepared.payload.cases)
+    return prepared, StudyRuns(prepared.payload)
 
 
 def test_a_study_in_lanes_has_the_results_of_single_runs(study, results):

@@ -40,7 +40,7 @@ def rows(finished):
     """Run -> outcome, computed apart from any folder."""
     ready = prepare(read(finished / "study.toml"))
     found = []
-    with closing(StudyRuns(ready.payload.study, ready.payload.cases)) as runs:
+    with closing(StudyRuns(ready.payload)) as runs:
         run_units(runs, [(sample,) for sample in ready.samples], 1, found.extend)
     return {row.run: row for row in found}
 
