@@ -204,7 +204,9 @@ class Runs:
         if group.struct.stop:  # which is for good
             late = Ended(FAILED, f"not done within {execution.time_limit:g} s", nan)
             why = BY_USER if self._stopped else late
-            ended = {i: why for i in machines if any(np.isnan(row[i, -1]) for row in rows)} | ended
+            for i in machines:
+                if ended.get(i, why).status != FAILED and any(np.isnan(row[i, -1]) for row in rows):
+                    ended[i] = why
         else:
             idle.append(group)
         return [(group.energies(i - first), ended.get(i)) for i in machines]

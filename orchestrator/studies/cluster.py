@@ -145,7 +145,7 @@ def _line(error: BaseException) -> str:
 def _silence() -> Iterator[None]:
     """Silence the log of Dask: a Problem reports what the user needs."""
     # Some of these loggers have their own level.
-    children = [n for n in logging.root.manager.loggerDict if n.startswith("distributed.")]
+    children = [n for n in logging.root.manager.loggerDict if n.startswith(("distributed.", "tornado."))]
     names = ("distributed", *children, "tornado", "asyncio")
     loggers = {n: logging.getLogger(n).level for n in names}
     for name in loggers:
