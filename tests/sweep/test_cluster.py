@@ -73,7 +73,7 @@ def test_nothing_is_left_on_the_workers(gain, address, tmp_path):
     with Client(address) as client:
         sweep(study(tmp_path, GAIN, gain), tmp_path / "out", client=client)
         children = client.run(lambda: [" ".join(p.cmdline()) for p in psutil.Process().children()])
-    assert not [line for lines in children.values() for line in lines if "sweep.child" in line]
+    assert not [line for lines in children.values() for line in lines if "worker.main" in line]
 
 
 def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
