@@ -29,7 +29,7 @@ from orchestrator.engine.run import ScenarioSource, prepare
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import LANES, NotInLanes
 from orchestrator.lanes.group import NOT_RELIABLE, OK, Ended, Lanes
-from orchestrator.lanes.many import BY_USER, Runs, archives_of, in_threads
+from orchestrator.lanes.many import BY_USER, Runs, in_threads
 from orchestrator.ssp.masters import MASTERS
 from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
@@ -257,7 +257,7 @@ def run_machines(
     """
     ended, points = dict[int, Ended | None](), recorded_times(job.times)
     job = replace(job, record=Record([*map(str, signals)], job.record.step))
-    with closing(Runs([job.system], archives_of([] if lanes else [job.system]))) as runs:
+    with closing(Runs([] if lanes else [job.system])) as runs:
         job = job if lanes else replace(job, system=runs.systems[0])
 
         def work(first: int) -> Iterable[tuple[int, Ended | None]]:

@@ -112,13 +112,14 @@ def _archive(source: Location) -> bytes:
 class Runs:
     """Runs in any number of threads: each in a process of its own, or several in the lanes of a core.
 
-    systems   with copies of their FMUs, which nobody changes meanwhile
+    systems   with copies of their FMUs, which nobody changes meanwhile; archives: see `archives_of`
     """
 
-    def __init__(self, systems: Sequence[System], archives: Mapping[Location, bytes]) -> None:
+    def __init__(self, systems: Sequence[System], archives: Mapping[Location, bytes] | None = None) -> None:
         library()  # raises the Problem of all runs if there is no engine
         self._pool, self._stopped = processes(), False
         self._idle, self._busy = defaultdict[Lanes, list[Group]](list), list[Group]()
+        archives = archives_of(systems) if archives is None else archives
         with ExitStack() as stack:
             folder = stack.enter_context(temporary_folder("many-", "the FMUs"))
             self._copies = {source: folder / f"{n:06}.fmu" for n, source in enumerate(archives)}
@@ -205,7 +206,8 @@ class Runs:
             late = Ended(FAILED, f"not done within {execution.time_limit:g} s", nan)
             why = BY_USER if self._stopped else late
             for i in machines:
-                if ended.get(i, why).status != FAILED and any(np.isnan(row[i, -1]) for row in rows):
+                failed = i in ended and ended[i].status == FAILED
+                if not failed and any(np.isnan(row[i, -1]) for row in rows):
                     ended[i] = why
         else:
             idle.append(group)
