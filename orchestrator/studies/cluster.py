@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import partial
-from itertools import chain
 from typing import Any
 
 from distributed import Client, WorkerPlugin, get_worker
@@ -24,8 +23,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.lanes.many import many
 from orchestrator.studies.cases import Unit
-from orchestrator.studies.processes import STORE_TIME, Payload, StudyRuns, digest
-from orchestrator.studies.single_run import RunOutcome, failed
+from orchestrator.studies.runs import STORE_TIME, Payload, RunOutcome, StudyRuns, digest, failed
 
 CONNECT_TIMEOUT = 10.0  # [s], for the scheduler and for its first worker
 WORKER_TIMEOUT = 60.0  # [s] without workers after which the study ends; others can be started until then
@@ -95,9 +93,12 @@ def run_unit(name: str, unit: Unit) -> list[RunOutcome]:
 
 
 def run_units(
-    connection: Client, payload: Payload, units: Sequence[Unit], store: Callable[[list[RunOutcome]], object]
+    connection: Client,
+    payload: Payload,
+    units: Sequence[Unit],
+    keep: Callable[[list[list[RunOutcome]]], object],
 ) -> None:
-    """Run samples; `store` gets their outcomes now and then, in any order, each sample once."""
+    """Run samples; `keep` gets their outcomes now and then, in any order, each sample once."""
     data = pickle.dumps(payload, protocol=pickle.HIGHEST_PROTOCOL)
     plugin = RunPlugin(f"sweep-{digest(data)[:16]}", data)
 
@@ -112,7 +113,7 @@ def run_units(
             connection.register_plugin(plugin, name=plugin.name)
         run = partial(run_unit, plugin.name)
         stop, places = partial(executor.shutdown, wait=False), Places(connection)
-        many(run, units, lambda some: store([*chain(*some)]), stop, executor, places, ended, STORE_TIME)
+        many(run, units, keep, stop, executor, places, ended, STORE_TIME)
     except CONNECTION_ERRORS:
         raise Problem(f"the connection to the Dask scheduler is lost; {CONTINUE}") from None
     finally:

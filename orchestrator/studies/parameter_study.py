@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from operator import attrgetter
@@ -29,12 +29,11 @@ from orchestrator.base.processes import available_cores
 from orchestrator.base.text import TextTable, display_unit, grouped
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import EARLY, FAILED, NOT_RELIABLE, OK
-from orchestrator.lanes.many import archives_of
+from orchestrator.lanes.many import archives_of, in_threads
 from orchestrator.studies import design, store
 from orchestrator.studies.analysis.output_samples import without_numbers
 from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
-from orchestrator.studies.processes import Payload, StudyRuns, run_units
-from orchestrator.studies.single_run import RunOutcome
+from orchestrator.studies.runs import STORE_TIME, Payload, RunOutcome, StudyRuns
 from orchestrator.studies.study import Study, read
 
 if TYPE_CHECKING:
@@ -125,9 +124,9 @@ def _run_missing(
     if count == total:
         return
 
-    def keep(outcomes: Sequence[RunOutcome]) -> None:
+    def keep(found: Iterable[Sequence[RunOutcome]]) -> None:
         nonlocal count
-        batch = [outcome for outcome in outcomes if outcome.run not in done]
+        batch = [outcome for outcomes in found for outcome in outcomes if outcome.run not in done]
         results.add(batch)
         count += len(batch)
         watch(total, count, batch)
@@ -138,7 +137,8 @@ def _run_missing(
     try:
         if client is None:
             with closing(StudyRuns(prepared.payload)) as runs:
-                run_units(runs, missing(units_of(prepared, runs.size)), workers, keep)
+                units = missing(units_of(prepared, runs.size))
+                in_threads(runs.run, units, keep, runs.stop, workers, STORE_TIME)
         else:
             from orchestrator.studies import cluster
 

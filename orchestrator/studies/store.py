@@ -37,8 +37,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import PARTIAL, put, write_whole
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import quote_key
-from orchestrator.studies.processes import STOPPED, Payload, digest, limit_is_raised
-from orchestrator.studies.single_run import RunOutcome, band_times
+from orchestrator.studies.runs import STOPPED, Payload, RunOutcome, band_times, digest, limit_is_raised
 from orchestrator.studies.study import Choice, Factor, Output, Study
 
 NAMES = ("runs.parquet", "bands.parquet", "report.html", "analysis.json", "log.csv")

@@ -9,7 +9,7 @@ from kit.mistakes import problem
 
 from orchestrator.studies import Choice, Factor, Output, Study, store, sweep
 from orchestrator.studies.parameter_study import prepare, units_of
-from orchestrator.studies.processes import StudyRuns
+from orchestrator.studies.runs import StudyRuns
 
 MASS = Factor("manipulator.head_mass", "uniform", {"minimum": 300, "maximum": 900})
 OUTPUTS = (

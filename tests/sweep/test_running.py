@@ -8,7 +8,7 @@ import pytest
 from sweep.studies import FAILS, GAIN, run, study
 
 from orchestrator import run as single
-from orchestrator.studies.single_run import MEASURES, measure
+from orchestrator.studies.runs import MEASURES, measure
 from orchestrator.studies.study import MEASURES as NAMES
 from orchestrator.studies.study import Output
 

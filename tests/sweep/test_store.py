@@ -13,7 +13,7 @@ from sweep.studies import GAIN, content, run, study
 
 from orchestrator.studies import store
 from orchestrator.studies.parameter_study import prepare
-from orchestrator.studies.processes import StudyRuns, run_units
+from orchestrator.studies.runs import StudyRuns
 from orchestrator.studies.store import PARTIAL
 from orchestrator.studies.study import read
 
@@ -39,10 +39,8 @@ def done(finished, tmp_path):
 def rows(finished):
     """Run -> outcome, computed apart from any folder."""
     ready = prepare(read(finished / "study.toml"))
-    found = []
     with closing(StudyRuns(ready.payload)) as runs:
-        run_units(runs, [(sample,) for sample in ready.samples], 1, found.extend)
-    return {row.run: row for row in found}
+        return {sample.run: runs.run((sample,))[0] for sample in ready.samples}
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Runs the samples of a study on a computer, in processes and in lanes as `batch` does.
+"""The runs of a study, in processes and in lanes as those of `batch`, and what is stored of them.
 
 A crash of an FMU ends only its own run.
 """
@@ -11,24 +11,26 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from itertools import chain
 
 import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.base.processes import machine_memory
+from orchestrator.data.table import Array
+from orchestrator.data.trace import Trace, inside
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.job import Execution, Job
+from orchestrator.engine.result import BondEnergy, bonds_above
 from orchestrator.engine.run import prepare
 from orchestrator.lanes.batch import machine_values, recorded_times
 from orchestrator.lanes.compiled import LANES
-from orchestrator.lanes.group import FAILED, INTERRUPTED, NOT_RELIABLE, Lanes
-from orchestrator.lanes.many import Runs, in_threads
+from orchestrator.lanes.group import FAILED, INTERRUPTED, NOT_RELIABLE, OK, Ended, Lanes
+from orchestrator.lanes.many import Runs
 from orchestrator.studies.cases import Options, Sample, StudyCase, Unit, signal
-from orchestrator.studies.single_run import RunOutcome, complete, failed, judged
-from orchestrator.studies.study import Study
+from orchestrator.studies.study import Output, Study
 
+NAN = float("nan")
 STOPPED = re.compile(r"(time_limit|memory_limit) = ([\d.e+-]+): ")  # begins the reason of a stopped run
 WRITTEN = 1e-8  # relative rounding of a limit in a reason, of 9 digits
 MEMORY_SHARE = 0.25  # of the machine's memory, for one run without a limit of its own
@@ -38,6 +40,9 @@ STORE_TIME = 1.5  # [s] between two times at which outcomes are stored: short to
 def digest(data: bytes) -> str:
     """SHA-256 digest."""
     return sha256(data).hexdigest()
+
+
+# ---- what is run
 
 
 @dataclass(frozen=True)
@@ -120,8 +125,7 @@ class StudyRuns:
                 reason = end.reason if end else ""
                 limit = f"{end.limit} = {limits_of(study)[end.limit]:.9g}: " if end and end.limit else ""
                 return failed(study, sample.run, f"{limit}{reason}")
-            outcome = complete(study, case, sample.run, result.time, result.trace.signals)
-            return judged(outcome, result.card.bonds, end)
+            return complete(study, case, sample.run, result.trace, result.card.bonds, end)
         except OSError:  # of this computer
             raise
         except Exception as error:  # a defect ends this run only
@@ -135,17 +139,99 @@ class StudyRuns:
         values, count = machine_values(job, {n: [float(s.factors[n]) for s in unit] for n in unit[0].factors})
         assert lanes is not None
         rows = [np.full((count, job.times.rows), np.nan) for _ in lanes.signals]
-        time, found = recorded_times(job.times), dict[int, RunOutcome]()
+        found: dict[int, RunOutcome] = {}
         ends = self._runs.together(lanes, values, rows, 0, count, job.execution)
         for i, (sample, (bonds, end)) in enumerate(zip(unit, ends, strict=True)):
             if not end or end.status == NOT_RELIABLE:
                 signals = {str(port): values[i] for port, values in zip(lanes.signals, rows, strict=True)}
-                found[sample.run] = judged(complete(study, case, sample.run, time, signals), bonds, end)
+                trace = Trace(recorded_times(job.times), signals)
+                found[sample.run] = complete(study, case, sample.run, trace, bonds, end)
         return found
 
 
-def run_units(
-    runs: StudyRuns, units: Sequence[Unit], workers: int, store: Callable[[list[RunOutcome]], object]
-) -> None:
-    """Run samples on this computer, those of a unit together; `store` gets their outcomes now and then."""
-    in_threads(runs.run, units, lambda some: store([*chain(*some)]), runs.stop, workers, STORE_TIME)
+# ---- what is stored of a run
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """The stored results of a run.
+
+    status   ok, unreliable (the error of the coupling is too large), early (an FMU requested the end of the
+             run), or failed
+    energy_error   largest energy error of the coupling over the energy that its bond exchanged; NaN if the
+                   run failed
+    reason   why the status is not ok, in one line
+    outputs  shape (outputs,); NaN if the run failed or the window contains no point
+    bands    signals at `band_times`, shape (signals, times); None if the run failed or no signal is stored
+    start    time of the first point [s]
+    wall     wall time [s]; not part of the results
+    """
+
+    run: int
+    status: str
+    reason: str
+    outputs: Array
+    bands: Array | None = None
+    start: float = 0.0
+    wall: float = 0.0
+    energy_error: float = NAN
+
+
+def failed(study: Study, run: int, reason: str) -> RunOutcome:
+    """The outcome of a run that failed."""
+    return RunOutcome(run, FAILED, " ".join(reason.split()), np.full(len(study.outputs), NAN))
+
+
+def complete(
+    study: Study, case: StudyCase, run: int, trace: Trace, bonds: Sequence[BondEnergy], end: Ended | None
+) -> RunOutcome:
+    """The outcome of a run that came to its end; end: of one that an FMU ended, or that is not reliable."""
+
+    def values(name: str) -> Array:
+        outlet = case.system.outputs.get(name)
+        values = trace.signals[str(signal(case.system, name))]
+        return values if outlet is None else outlet.map.factor * values + outlet.map.offset
+
+    time, start = trace.time, float(trace.time[0])
+    outputs = np.array([measure(o, time, values(o.signal)) for o in study.outputs], np.float64)
+    # up to the end of the run, interpolated linearly between recorded points
+    times = band_times(study, start, int((time[-1] - time[0]) / study.band_step + 1e-6) + 1)
+    bands = [np.interp(times, time, values(name)) for name in study.bands]
+    status, reason = (end.status, end.reason) if end else (OK, "")
+    error = max((abs(b.relative) for b in bonds_above(bonds, 0.0)), default=0.0)
+    stored = np.stack(bands) if bands else None
+    return RunOutcome(run, status, reason, outputs, stored, start, energy_error=error)
+
+
+def band_times(study: Study, start: float, count: int) -> Array:
+    """Times [s] of the stored signals."""
+    return np.asarray(start + study.band_step * np.arange(count), np.float64)
+
+
+def measure(output: Output, time: Array, signal: Array) -> float:
+    """The value of an output; shapes (n,), time [s]. NaN if the window contains no point.
+
+    Mean, rms and integral use linear interpolation between the points (rms: between the squares). The time
+    of the maximum is the first of several.
+    """
+    start, stop = -np.inf if output.start is None else output.start, output.stop
+    window = inside(time, start, np.inf if stop is None else stop)
+    t, x = time[window], signal[window]
+    return MEASURES[output.measure](t, x) if len(t) else NAN
+
+
+def _mean(t: Array, x: Array) -> float:
+    span = float(t[-1] - t[0])
+    return float(np.trapezoid(x, t)) / span if span > 0 else float(x[0])
+
+
+MEASURES: Mapping[str, Callable[[Array, Array], float]] = {
+    "maximum": lambda _, x: float(np.max(x)),
+    "minimum": lambda _, x: float(np.min(x)),
+    "range": lambda _, x: float(np.ptp(x)),
+    "final": lambda _, x: float(x[-1]),
+    "mean": _mean,
+    "rms": lambda t, x: float(np.sqrt(_mean(t, np.square(x)))),
+    "integral": lambda t, x: float(np.trapezoid(x, t)),
+    "time_of_maximum": lambda t, x: float(t[np.argmax(x)]),
+}
