@@ -41,7 +41,7 @@ OK, EARLY, FAILED, NOT_RELIABLE, INTERRUPTED = "ok", "early", "failed", "unrelia
 
 @dataclass(frozen=True)
 class Ended:
-    """Why a machine ended early, or is not reliable, and when it ended [s].
+    """Why a machine ended early, or is not reliable.
 
     status   EARLY if an FMU asked for the end, NOT_RELIABLE if the machine came to its end, INTERRUPTED if
              the user ended it, else FAILED
@@ -50,7 +50,6 @@ class Ended:
 
     status: str
     reason: str
-    time: float
     limit: str = ""
 
 
@@ -498,7 +497,7 @@ class Group:
         found, (residual, _, exchanged) = dict(self.ended()), self._energies()
         for lane in np.flatnonzero(energies_above(residual, exchanged).any(axis=0)).tolist():
             lines = unreliable_energies(self.energies(lane))
-            found.setdefault(lane, Ended(NOT_RELIABLE, "; ".join(lines), self._time[lane]))
+            found.setdefault(lane, Ended(NOT_RELIABLE, "; ".join(lines)))
         return found
 
     def energies(self, lane: int) -> list[BondEnergy]:
@@ -515,7 +514,7 @@ class Group:
         """Lane and reason of the machines that have failed."""
         for lane, failure in enumerate(self._failures):
             if failure.kind:
-                yield lane, Ended(FAILED, self._reason(failure), failure.time)
+                yield lane, Ended(FAILED, self._reason(failure))
 
     def _reason(self, f: Any) -> str:
         h, model, when = header(), self.lanes.models[f.component], f"at t = {f.time:.9g} s"

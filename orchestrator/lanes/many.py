@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import replace
-from math import nan
 from typing import TypeVar
 
 import numpy as np
@@ -34,7 +33,7 @@ from orchestrator.ssp.system import Component, Port, System
 
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
-BY_USER = Ended(INTERRUPTED, "by the user", nan)
+BY_USER = Ended(INTERRUPTED, "by the user")
 
 
 def many(
@@ -148,27 +147,29 @@ class Runs:
 
     def alone(self, job: Job) -> tuple[Result | None, Ended | None]:
         """The result of a run, None if it did not begin, and why it ended early or is not reliable."""
-        start, sink = job.times.start, TraceInMemory()
         if job.execution.late:
-            return None, Ended(FAILED, f"not begun within {job.execution.time_limit:g} s", start)
+            return None, Ended(FAILED, f"not begun within {job.execution.time_limit:g} s")
+        sink = TraceInMemory()
         try:
             result = finished(job, run_isolated(job, sink, self._between, self._pool), sink)
+        except RunFailed as failed:
+            return failed.result, self._failed(failed, failed.__cause__)
         except Problem as problem:
-            failed = isinstance(problem, RunFailed)
-            cause = problem.__cause__ if failed else problem
-            limit = cause.limit if isinstance(cause, LimitReached) else ""
-            reason = " ".join(str(problem).split())
-            for source, copy in self._copies.items():
-                reason = reason.replace(str(copy), str(source))
-            end = Ended(FAILED, reason, sink.last if failed else start, limit)
-            return problem.result if isinstance(problem, RunFailed) else None, end
+            return None, self._failed(problem, problem)
         except KeyboardInterrupt as interrupt:
             return interrupt.result if isinstance(interrupt, Interrupted) else None, BY_USER
-        card = result.card
-        early = [note.removeprefix(ENDS_EARLY) for note in card.notes if note.startswith(ENDS_EARLY)]
+        notes, unreliable = result.card.notes, result.card.unreliable
+        early = [note.removeprefix(ENDS_EARLY) for note in notes if note.startswith(ENDS_EARLY)]
         if early:
-            return result, Ended(EARLY, " ".join(early[0].split()), sink.last)
-        return result, Ended(NOT_RELIABLE, "; ".join(card.unreliable), sink.last) if card.unreliable else None
+            return result, Ended(EARLY, " ".join(early[0].split()))
+        return result, Ended(NOT_RELIABLE, "; ".join(unreliable)) if unreliable else None
+
+    def _failed(self, problem: Problem, cause: BaseException | None) -> Ended:
+        """The end of a run by a problem, with the names of the original FMUs."""
+        reason = " ".join(str(problem).split())
+        for source, copy in self._copies.items():
+            reason = reason.replace(str(copy), str(source))
+        return Ended(FAILED, reason, cause.limit if isinstance(cause, LimitReached) else "")
 
     def _between(self, _: float) -> bool:
         if self._stopped:
@@ -203,7 +204,7 @@ class Runs:
             self._busy.remove(group)
         machines = range(first, min(first + LANES, count))
         if group.struct.stop:  # which is for good
-            late = Ended(FAILED, f"not done within {execution.time_limit:g} s", nan)
+            late = Ended(FAILED, f"not done within {execution.time_limit:g} s")
             why = BY_USER if self._stopped else late
             for i in machines:
                 failed = i in ended and ended[i].status == FAILED
