@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -62,12 +62,15 @@ def many(
                 for _ in range(min(places() - len(running), len(waiting))):
                     task = waiting.popleft()
                     running[executor.submit(run, task)] = task
-                for future in wait(running, POLL_INTERVAL, FIRST_COMPLETED).done:
-                    task, error = running.pop(future), future.exception()
-                    if failed and isinstance(error, Exception):
-                        found.append(failed(task, error))
-                    else:
+                ended = wait(running, POLL_INTERVAL, FIRST_COMPLETED).done
+                for future in sorted(ended, key=_has_failed):  # an outcome is kept before an exception
+                    task = running.pop(future)
+                    try:
                         found.append(future.result())
+                    except Exception as error:
+                        if failed is None:
+                            raise
+                        found.append(failed(task, error))
                 if found and time.monotonic() - kept >= interval:
                     new, found, kept = found, [], time.monotonic()
                     keep(new)
@@ -80,6 +83,10 @@ def many(
         finally:
             if found:
                 keep(found)
+
+
+def _has_failed(future: Future[Any]) -> bool:
+    return future.cancelled() or future.exception() is not None
 
 
 def in_threads(
