@@ -105,7 +105,7 @@ def run_units(
     def ended(unit: Unit, error: Exception) -> list[RunOutcome]:
         if isinstance(error, KilledWorker):  # after Dask has tried others
             return [failed(payload.study, sample.run, "the Dask worker died") for sample in unit]
-        raise error if isinstance(error, Problem | CONNECTION_ERRORS) else Problem(f"Dask: {_line(error)}")
+        raise error if isinstance(error, (Problem, *CONNECTION_ERRORS)) else Problem(f"Dask: {_line(error)}")
 
     executor = connection.get_executor(pure=False)
     try:
