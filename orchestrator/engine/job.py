@@ -197,7 +197,10 @@ class Job:
 
     @property
     def command_began(self) -> float:
-        """When the command began, by `time.monotonic` [s]; of use only with a time limit."""
+        """When the command began, by `time.monotonic` [s]; of use only with a time limit.
+
+        Infinite if the limit is that of a run, without the start of its process.
+        """
         began: float = self.options.get("deadline", math.inf) - self.options.get("time_limit", math.inf)
         return began
 

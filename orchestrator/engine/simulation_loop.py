@@ -48,6 +48,7 @@ def run_job(
     between: Callable[[float], bool] = lambda _: False,
     at_end: Callable[[RunEnd], None] = lambda _: None,
     allocate: Allocate = in_process,
+    cores: int | None = None,
 ) -> RunEnd:
     """Open all FMUs, run in this process, and close them in any case.
 
@@ -55,8 +56,10 @@ def run_job(
     between    called with the time [s] between blocks of steps; returns True to end the run
     at_end     called before the FMUs are closed
     allocate   see `Binding`
+    cores      for the components, at most; None: all
     """
     with simulation(job, sink, allocate) as loop:
+        loop.cores = cores or CORES
         began = time.perf_counter()
         problem, interrupted = None, False
         try:
@@ -195,7 +198,7 @@ def _check_instances(system: System) -> None:
 
 TIMED_STEPS = 20  # number of steps whose times decide about threads
 MIN_SAVING = 2e-5  # [s] of wall time per step; with less, threads are not used: waking one takes about 5e-6 s
-CORES = os.cpu_count() or 1  # number of threads for the components of one run, at most
+CORES = os.cpu_count() or 1  # default number of threads for the components of one run, at most
 ADVANCE_TIME = 0.1  # [s] of wall time that one call of `advance` takes, at most
 
 
@@ -229,10 +232,12 @@ class SimulationLoop:
     state    `Simulation` of engine.h: time t [s], steps, passes, ...; a caller of `advance` may increase
              `total`
     errors   the estimate of errors during the run; None if there is none
+    cores    number of threads for the components, at most
     notes    remarks on its master
     """
 
     errors: ErrorPropagation | None = None
+    cores = CORES
 
     def __init__(self, job: Job, network: Network, sink: TraceSink, selected: Sequence[Port] | None) -> None:
         """selected: the recorded signals; None: all."""
@@ -297,7 +302,7 @@ class SimulationLoop:
         self._threads_undecided = False
         times = [c.struct.busy * self.state.tick / self.state.steps for c in self._components]
         if sum(times) - max(times) > MIN_SAVING and all(c.stepping for c in self._components):
-            self.state.threads = min(CORES, len(times))
+            self.state.threads = min(self.cores, len(times))
 
     def close(self) -> None:
         """End the threads and free saved states."""

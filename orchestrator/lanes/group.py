@@ -36,19 +36,21 @@ ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
 COMMON = ("target", "source", "source_component", "order", "autonomous", "noisy", "factor", "offset", "scale")
 COMPILING = "compiling the FMUs for this processor, which is done once; lanes=False compiles nothing"
-OK, EARLY, FAILED, NOT_RELIABLE = "ok", "early", "failed", "unreliable"
+OK, EARLY, FAILED, NOT_RELIABLE, INTERRUPTED = "ok", "early", "failed", "unreliable", "interrupted"
 
 
 @dataclass(frozen=True)
 class Ended:
-    """Why a machine ended early, or is not reliable, and when it ended [s].
+    """Why a machine ended early, or is not reliable.
 
-    status   EARLY if an FMU asked for the end, NOT_RELIABLE if the machine came to its end, else FAILED
+    status   EARLY if an FMU asked for the end, NOT_RELIABLE if the machine came to its end, INTERRUPTED if
+             the user ended it, else FAILED
+    limit    time_limit or memory_limit, if that ended it
     """
 
     status: str
     reason: str
-    time: float
+    limit: str = ""
 
 
 def aligned(size: int) -> NDArray[np.uint8]:
@@ -495,7 +497,7 @@ class Group:
         found, (residual, _, exchanged) = dict(self.ended()), self._energies()
         for lane in np.flatnonzero(energies_above(residual, exchanged).any(axis=0)).tolist():
             lines = unreliable_energies(self.energies(lane))
-            found.setdefault(lane, Ended(NOT_RELIABLE, "; ".join(lines), self._time[lane]))
+            found.setdefault(lane, Ended(NOT_RELIABLE, "; ".join(lines)))
         return found
 
     def energies(self, lane: int) -> list[BondEnergy]:
@@ -512,7 +514,7 @@ class Group:
         """Lane and reason of the machines that have failed."""
         for lane, failure in enumerate(self._failures):
             if failure.kind:
-                yield lane, Ended(FAILED, self._reason(failure), failure.time)
+                yield lane, Ended(FAILED, self._reason(failure))
 
     def _reason(self, f: Any) -> str:
         h, model, when = header(), self.lanes.models[f.component], f"at t = {f.time:.9g} s"

@@ -24,7 +24,7 @@ STEPS = {"step": 0.01, "stop": 1.0}
 
 def process():
     """Id of the process that is kept for the next run."""
-    ((worker, _),) = isolated._idle
+    ((worker, _),) = isolated._single._idle
     return worker.pid
 
 
