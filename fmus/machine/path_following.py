@@ -216,7 +216,9 @@ def follow(
     limits = {name: limit for name, limit in LIMITS.items() if system.has(name)}
     try:
         recorded = [*names.tip, *limits, *also]
-        result, failure = attempt(system, driven, recorded, record_step=RECORD_STEP, set=values, yes=yes)
+        result, failure = attempt(
+            system, driven, record=recorded, record_step=RECORD_STEP, set=values, yes=yes
+        )
     except Problem as problem:
         raise Problem(f"machine {machine}, path {path.stem}: {problem}") from None
     trace = result.trace

@@ -182,9 +182,13 @@ class Worker:
     @property
     def report(self) -> str:
         """Cause of the end, last activity and last line of stderr, for a message."""
-        cause = self.ending.replace("exit status", "the process ended with exit status")
         last = self.last_stderr_line[:120]
-        return f"{cause} {self.where}" + (f' ("{last}")' if last else "")
+        return f"{self.cause} {self.where}" + (f' ("{last}")' if last else "")
+
+    @property
+    def cause(self) -> str:
+        """`ending` as the subject of a message."""
+        return self.ending.replace("exit status", "the process ended with exit status")
 
     @property
     def ending(self) -> str:

@@ -32,7 +32,6 @@ OWN = {
     "orchestrator/engine/isolated.py": "the folder of a worker",
     "orchestrator/modelica/modelica_package.py": "a temporary folder, named when it is complete",
     "orchestrator/realtime/deadlines.py": "a setting of the system",
-    "orchestrator/studies/processes.py": "the temporary folder of a study",
     "orchestrator/studies/store.py": "a log to which lines are added; it is not part of the results",
     "orchestrator/worker/calls.py": "the folder of a worker",
     "orchestrator/worker/process.py": "the folder of a worker",

@@ -10,7 +10,7 @@ from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine.c_library import engine_h
 from orchestrator.engine.job import Job
 from orchestrator.engine.linear_system import Linearisation
-from orchestrator.engine.open_job import simulation
+from orchestrator.engine.simulation_loop import simulation
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.interface import read_interface
 from orchestrator.ssp.masters import interface_jacobian_plan
