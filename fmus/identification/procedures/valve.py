@@ -45,7 +45,7 @@ from fmus.components.chamber import Liquid
 from fmus.components.opening_curve import POINTS
 from fmus.components.orifice import Edge
 from fmus.identification import balance
-from fmus.identification.balance import UNLIKELY, Law, Regression, Samples, Solution, probability
+from fmus.identification.balance import UNLIKELY, Law, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import STEP_SIGNALS, StepMeans
 from fmus.identification.procedures.fit import Fit, Procedure
@@ -86,8 +86,8 @@ CHANNELS = (*PRESSURES, "flow", "command", "supply drop", "change", "course", "d
 EFFECTS, LINE = ("lag", "drift"), ("slope", "start")  # unknowns of all edges, and of one straight opening
 LEAK, LEAK_SD = "leak", 1.0  # of the leakage over the known one, less one: it is assumed, not measured
 FINE, DRAWN = 1000, 96  # roundings between those of a profile, and commands at which an opening is drawn
+FACTOR = coverage_factor()
 Test = tuple[float, str]  # probability and sentence of a finding
-Quantity = Callable[[Regression, float], tuple[float, Mapping[str, float]]]
 Solve = Callable[..., Solution]  # (samples, start, *unknowns that are held) -> the fit of all samples
 
 
@@ -148,7 +148,10 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     found = identify_openings(tests, parameters)
     value, sd = offset(found.solution)
     zero = Estimate.normal("pressures without flow", value, "Pa", sd, "pressure_in - pressure_out")
-    lag = [Estimate.normal("hysteresis", *_effect(found, "lag"))] if "lag" in found.freed else []
+    lag, lag_sd = _effect(found, "lag")
+    hysteresis = Estimate.normal(
+        "hysteresis", lag, "V", lag_sd, "from steps with rising and falling commands"
+    )
     return ProcedureResult(
         procedure="valve",
         title="Valve: C_R of the metering edges over the command",
@@ -156,7 +159,12 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         estimates=tuple(_estimates(found)),
         panels=panels(found),
         remarks=tuple(_remarks(found, zero)),
-        others=(*_resistances(found), zero, *lag, *_of_edges(found)),
+        others=(
+            *_resistances(found),
+            zero,
+            *([hysteresis] if "lag" in found.freed else []),
+            *_of_edges(found),
+        ),
         findings=(*_findings(tests, found), _size(found, parameters)),
         listed=tuple(_tables(found, parameters)),
     )
@@ -169,7 +177,13 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
     steps = data.concatenate([_steps_of(r, c) for r in tests])
     steps = data.concatenate([_classified(steps.of(e), c) for e in steps.edges])
     steps = steps[(steps.command > SAME * c.full_command) | steps.closed]
-    require_nodes(steps, c, MIN_VOLTAGES)
+    for edge in steps.edges:
+        own = steps.of(edge)
+        if (voltages := len(own.grouped(c))) < MIN_VOLTAGES:
+            raise Problem(
+                f"valve {edge}: expected flow at {MIN_VOLTAGES} voltages or more, got {voltages}; left "
+                f"out of {own.command.size} steps: {own.omissions() or 'none'}"
+            )
     limits = data.zero_limits(tests, PRESSURES) | data.declared_limits(tests, ["flow"])
     if (shut := steps[steps.closed]).flow.size:  # which show the zero: it is free
         seen = np.abs(shut.flow) + CERTAIN * shut.flow_error
@@ -388,87 +402,47 @@ class Nodes:
         return p, float(np.max(1 - self.area / np.maximum.accumulate(self.area)))
 
 
-def straight(z: Array | float, width: float) -> tuple[Array, Array, Array]:
-    """`fmus.smooth.ramp` of arrays, and its derivatives by z and by the width."""
-    s = np.clip(np.asarray(z) / width, 0.0, 1.0)
-    foot, slope = s**3 - s**4 / 2, 3 * s**2 - 2 * s**3
-    return width * foot + np.maximum(z - width, 0.0), slope, foot - s * slope
-
-
 @dataclass(frozen=True)
 class Lines:
     """Straight openings of some edges with one rounding, or one opening of all, the label "".
 
-    widths      roundings [V], (n,): ascending up to that with a dead band of zero, or the one that the data tell
-    solutions   the fit for each of them
-    above       chi-square of each over that of the best, (n,)
-    best        index of the rounding that is reported
-    cost        chi-square of the best fit, the zeros included
+    solution    their fit
+    rounding    [V] with its interval by the profile likelihood
+    cost        chi-square of the best rounding, with the zeros
     """
 
-    widths: Array
-    solutions: Sequence[Solution]
-    above: Array
-    best: int
+    solution: Solution
+    rounding: Estimate
     cost: float
 
     @property
-    def solution(self) -> Solution:
-        """The fit that is reported."""
-        return self.solutions[self.best]
-
-    @property
-    def width(self) -> float:
-        """The rounding that is reported [V]."""
-        return float(self.widths[self.best])
-
-    @property
     def told(self) -> bool:
-        """Whether the data tell the rounding."""
+        """Whether the data tell the rounding, which then is an unknown of the fit."""
         return "rounding" in self.solution.fit.names
 
-    def estimate(self, unit: str, of: Quantity) -> Estimate:
-        """A quantity with its interval by the profile likelihood over the roundings.
-
-        of   (fit, rounding) -> value, and its derivatives by the unknowns
-        """
-        rows = []
-        for solution, width in zip(self.solutions, self.widths, strict=True):
-            value, derivatives = of(solution.fit, width)
-            rows.append((value, solution.fit.combination(derivatives)[1]))
-        value, sd = rows[self.best]
-        if len(rows) == 1:
-            return Estimate.normal("", value, unit, sd, "")
-        widths = np.linspace(self.widths[0], self.widths[-1], FINE)
-        every = PchipInterpolator(self.widths, np.column_stack([rows, self.above]))(widths)
-        values, sds, above = every[every[:, 2] <= coverage_factor() ** 2].T
-        half = np.sqrt(coverage_factor() ** 2 - above) * sds
-        own = coverage_factor() * sd
-        low, high = min(float(np.min(values - half)), value - own), max(float(np.max(values + half)), value + own)
-        return Estimate("", value, unit, (high - low) / 2 / coverage_factor(), low, high, "")
-
     def area(self, label: str, command: float) -> Estimate:
-        """Area [m2] at a command [V]."""
-
-        def of(fit: Regression, width: float) -> tuple[float, Mapping[str, float]]:
-            slope, start = fit[f"slope{label}"], fit[f"start{label}"]
-            opening, by_z, by_width = map(float, straight(command - start + width / 2, width))
-            by_rounding = slope * (by_z / 2 + by_width)
-            derivatives = {f"slope{label}": opening, f"start{label}": -slope * by_z, "rounding": by_rounding}
-            return slope * opening, derivatives
-
-        return self.estimate("m2", of)
+        """Area [m2] at a command [V]: the ramp of `fmus.smooth`."""
+        fitted, w = self.solution.fit, self.rounding.value
+        slope, z = fitted[f"slope{label}"], command - fitted[f"start{label}"] + w / 2
+        s = min(max(z / w, 0.0), 1.0)
+        foot, by_z = s**3 - s**4 / 2, 3 * s**2 - 2 * s**3
+        opening, by_rounding = w * foot + max(z - w, 0.0), slope * (by_z / 2 + foot - s * by_z)
+        weights = {f"slope{label}": opening, f"start{label}": -slope * by_z, "rounding": by_rounding}
+        sd = math.hypot(fitted.combination(weights)[1], by_rounding * self._sd)
+        return Estimate.normal("", slope * opening, "m2", sd, "")
 
     def start(self, label: str) -> Estimate:
-        """Dead band [V]."""
-        derivatives = {f"start{label}": 1.0, "rounding": -0.5}
-        e = self.estimate("V", lambda fit, width: (fit[f"start{label}"] - width / 2, derivatives))
-        return replace(e, value=max(e.value, 0.0), low=max(e.low, 0.0), high=max(e.high, 0.0))
+        """Dead band [V], which holds each rounding that the data allow."""
+        fitted, w = self.solution.fit, self.rounding
+        value, sd = fitted[f"start{label}"], fitted.combination({f"start{label}": 1.0, "rounding": -0.5})[1]
+        low, high = (w.value, w.value) if self.told else (w.low, w.high)
+        ends = value - w.value / 2, value - high / 2 - FACTOR * sd, value - low / 2 + FACTOR * sd
+        middle, low, high = (max(x, 0.0) for x in ends)
+        return Estimate("", middle, "V", math.hypot(sd, self._sd / 2), low, high, "")
 
-    def rounding(self) -> Estimate:
-        """Rounding [V]."""
-        e = self.estimate("V", lambda _, width: (width, {"rounding": 1.0}))
-        return replace(e, low=max(e.low, SHARP))
+    @property
+    def _sd(self) -> float:
+        return 0.0 if self.told else self.rounding.sd  # a rounding that is told is in the covariance
 
 
 @dataclass(frozen=True)
@@ -495,6 +469,10 @@ class ValveFit:
     effects: Mapping[str, tuple[float, float]]
     freed: tuple[str, ...]
 
+    def _chance(self, cost: float, terms: int) -> float:
+        """Probability of a chi-square that is larger by as much for fewer unknowns."""
+        return float(stats.chi2.sf(max(cost, 0.0) / self.scatter**2, max(terms, 1)))
+
     @cached_property
     def p(self) -> float:
         """Probability that all openings are straight lines, by chi-square against the free areas."""
@@ -513,25 +491,15 @@ class ValveFit:
         """Probability that straight edges which are equal differ as much."""
         if not (self.lines and self.line):
             return 0.0
-        terms = 2 * (len(self.nodes) - 1)
-        return self._chance(self.line.cost - self.lines.cost, terms) if terms else 1.0
+        return self._chance(self.line.cost - self.lines.cost, 2 * (len(self.nodes) - 1))
 
-    def _chance(self, cost: float, terms: int) -> float:
-        """Probability of a chi-square that is larger by as much for fewer unknowns."""
-        return float(stats.chi2.sf(max(cost, 0.0) / self.scatter**2, max(terms, 1)))
-
-    @property
+    @cached_property
     def common(self) -> Lines | None:
         """One straight line for all edges, if that suffices; the machine has none that begins below zero."""
         if not (self.straight and self.line and self.equal > UNLIKELY):
             return None
-        fitted, name = self.line.solution.fit, f"start{self.label}"
-        return self.line if fitted[name] > -CERTAIN * fitted.sd(name) else None
-
-    @property
-    def label(self) -> str:
-        """That of the one line."""
-        return next(iter(self.nodes)) if len(self.nodes) == 1 else ""
+        fitted = self.line.solution.fit
+        return self.line if fitted["start"] > -CERTAIN * fitted.sd("start") else None
 
     @property
     def solution(self) -> Solution:
@@ -554,20 +522,35 @@ class ValveFit:
     def openings(self) -> Mapping[str, Opening]:
         """Edge -> its opening; all have the same object if one straight line suffices."""
         if self.common:
-            return dict.fromkeys(self.nodes, self.on_line(self.common, self.label, ""))
-        if self.straight:
-            return {edge: self.on_line(self.straight, edge, edge) for edge in self.nodes}
-        return {edge: self._free(edge) for edge in self.nodes}
+            return dict.fromkeys(self.nodes, self.on_line(self.common, ""))
+        return {
+            edge: self.on_line(self.straight, edge) if self.straight else self._free(edge)
+            for edge in self.nodes
+        }
 
-    def on_line(self, lines: Lines, label: str, edge: str) -> Opening:
+    def assumed(self, lines: Lines) -> bool:
+        """Whether the rounding of a straight opening is that which was known."""
+        return not lines.told and lines.rounding.value == self.known.rounding.value
+
+    @property
+    def distinct(self) -> Mapping[str, Opening]:
+        """The openings without repetitions: of one only the name is ""."""
+        return {"": self.widest} if self.common or len(self.nodes) == 1 else self.openings
+
+    @property
+    def widest(self) -> Opening:
+        """That of the edge that opens furthest."""
+        return max(self.openings.values(), key=lambda opening: opening.full.value)
+
+    def on_line(self, lines: Lines, edge: str) -> Opening:
         """The straight opening of an edge, of all for the name ""."""
 
         def at(command: float) -> Estimate:
-            return self._drifting(lines.area(label, command))
+            return self._drifting(lines.area(edge, command))
 
         commands = [float(s.command.mean()) for s in self.steps.of(edge).grouped(self.known)]
         volts = np.array([v for v in commands if v < self.known.full_command * (1 + SAME)])
-        return Opening(volts, [at(v) for v in volts], lines.start(label), at, self.known.full_command)
+        return Opening(volts, [at(v) for v in volts], lines.start(edge), at, self.known.full_command)
 
     def _free(self, edge: str) -> Opening:
         """The opening with free areas. It begins with their lowest chord.
@@ -628,6 +611,11 @@ class Opening:
             return self.areas[k]
         inside = self.command[0] < command < self.command[-1]
         return self.line(command) if self.line and inside else None
+
+    def relative(self, k: int, widest: Opening, name: str, note: str) -> Estimate:
+        """One of the areas relative to that of an edge at full command."""
+        e, full = self.areas[k], widest.full.value
+        return Estimate(name, e.value / full, "1", e.sd / full, e.low / full, e.high / full, note)
 
     @cached_property
     def table(self) -> list[int]:
@@ -711,9 +699,7 @@ def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
         nodes, solution = _nodes(steps, c, solved)
         effects |= {n: (solution.fit[n], solution.fit.sd(n)) for n in freed}
     scatter = solution.fit.times_noise if solution.fit.misfit else 1.0
-    lines = line = _lines(steps, c, solved, scatter, each)
-    if lines and len(each) > 1:
-        line = _lines(steps, c, solved, scatter, ("",))
+    lines, line = (_lines(steps, c, solved, scatter, labels) for labels in (each, ("",)))
     return ValveFit(steps, c, limits, nodes, solution, lines, line, scatter, effects, freed)
 
 
@@ -731,11 +717,11 @@ def _nodes(steps: ValveSteps, c: Known, solved: Solve) -> tuple[dict[str, Nodes]
     samples, start, own = list[Samples](), dict[str, float](), dict[str, tuple[Array, list[str]]]()
     for edge in steps.edges:
         groups = steps.of(edge).grouped(c)
-        at, mean = (np.array(x) for x in zip(*((s.command.mean(), s.effective(c).mean()) for s in groups)))
+        at, mean = np.array([(s.command.mean(), s.effective(c).mean()) for s in groups]).T
         own[edge] = at, [f"area{edge} {x:.4g} V" for x in at]
         start |= dict(zip(own[edge][1], mean, strict=True))
-        rows = zip(groups, own[edge][1], np.gradient(mean, at), at, strict=True)
-        samples += [s.samples(c, "node", {"area": name}, slope, x) for s, name, slope, x in rows]
+        each = zip(groups, own[edge][1], np.gradient(mean, at), at, strict=True)
+        samples += [s.samples(c, "node", {"area": name}, slope, x) for s, name, slope, x in each]
     if (shut := steps[steps.closed]).drop.size:
         samples.append(shut.samples(c, "closed", {}))
     solution, nodes = solved(samples, start), dict[str, Nodes]()
@@ -768,31 +754,22 @@ def _lines(steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: S
     longest = max(2 * min(sharp.fit[f"start{label}"] for label in labels), SHARP)
     known, prior = min(max(c.rounding.value, SHARP), longest), c.rounding.sd or math.inf
     tried = np.unique([*(SHARP + (longest - SHARP) * np.linspace(0, 1, WIDTHS) ** 2), known])
-    fits = {float(w): s for w in tried if (s := at(float(w), "rounding"))}
-    widths, solutions = np.array(list(fits)), list(fits.values())
-    cost, enough = np.array([s.cost for s in solutions]) / scatter**2, coverage_factor() ** 2
-    k = int(cost.argmin())
-    if 0 < k < widths.size - 1 and min(cost[0], cost[-1]) > cost[k] + enough:
-        start |= {n: solutions[k].fit[n] for n in start}
+    fits = {float(w): found for w in tried if (found := at(float(w), "rounding"))}
+    widths, cost = np.array(list(fits)), np.array([found.cost for found in fits.values()]) / scatter**2
+    k, least = int(cost.argmin()), float(cost.min()) * scatter**2
+    if min(cost[0], cost[-1]) > cost[k] + FACTOR**2:
+        start |= {n: fits[float(widths[k])].fit[n] for n in start}
         free = at(float(widths[k]))
-        if free and SHARP < (width := free.fit["rounding"]) < longest and free.fit.sd("rounding") < prior:
-            return Lines(np.array([width]), [free], np.zeros(1), 0, free.cost)
-    above = cost + ((widths - c.rounding.value) / prior) ** 2
-    above -= above.min()
+        if free and SHARP < (w := free.fit["rounding"]) < longest and (sd := free.fit.sd("rounding")) < prior:
+            return Lines(free, Estimate.normal("", w, "V", sd, "", minimum=SHARP), free.cost)
+    cost += ((widths - c.rounding.value) / prior) ** 2
+    above = np.sqrt(cost - cost.min())  # in standard deviations
+    fine = np.union1d(np.linspace(widths[0], widths[-1], FINE), widths)
+    low, *_, high = np.repeat(fine[np.interp(fine, widths, above) <= FACTOR], 2)
     k = int(np.argmin(np.abs(widths - known)))
-    best = k if above[k] <= enough else 0 if above[0] <= enough else int(above.argmin())
-    return Lines(widths, solutions, above, best, min(s.cost for s in solutions))
-
-
-def require_nodes(steps: ValveSteps, c: Known, least: int) -> None:
-    """Refuse edges with a flow at fewer voltages."""
-    for edge in steps.edges:
-        own = steps.of(edge)
-        if (voltages := len(own.grouped(c))) < least:
-            raise Problem(
-                f"valve {edge}: expected flow at {least} voltages or more, got {voltages}; left "
-                f"out of {own.command.size} steps: {own.omissions() or 'none'}"
-            )
+    best = k if above[k] <= FACTOR else 0 if above[0] <= FACTOR else int(above.argmin())
+    sd = float(high - low) / 2 / FACTOR
+    return Lines(fits[float(widths[best])], Estimate("", float(widths[best]), "V", sd, low, high, ""), least)
 
 
 # ---- tests of what the procedure takes for granted -----------------------------------------------------
@@ -848,7 +825,7 @@ def _effect(found: ValveFit, name: str, factor: float = 1.0) -> tuple[float, flo
 def _size(found: ValveFit, parameters: Mapping[str, Number]) -> Finding:
     """Whether the area is far from the known one, as with a pressure in another unit."""
     known = parameters.get("boom_stick.valve_area")
-    largest = _widest(found).full.value
+    largest = found.widest.full.value
     ratio = largest / known.value if known else 1.0
     return Finding(
         "unit",
@@ -912,63 +889,42 @@ def _start(edge: str, found: ValveFit) -> Iterator[Test]:
 def _estimates(found: ValveFit) -> Iterator[Estimate]:
     """Those of the one straight opening; of tables the largest area and the first start of an opening."""
     if found.common:
-        yield from _of_line(found, found.common, _first(found), "")
+        yield from _of_line(found, found.common, "")
         return
-    widest, openings = _widest(found), found.openings.values()
+    widest, starts = found.widest, (opening.start for opening in found.openings.values())
     where = "full command" if widest.reached else f"{widest.command[-1]:.3g} V, the highest command"
     note = f"at {where}, with C_d and density as known, section 4(a)"
     yield replace(widest.full, name="valve_area", note=note)
-    first = min((opening.start for opening in openings), key=lambda start: start.value)
+    first = min(starts, key=lambda start: start.value)
     yield replace(
         first, name="valve_dead_band", note="start of the opening; the tables of the edges replace it"
     )
 
 
-def _of_line(found: ValveFit, lines: Lines, opening: Opening, edge: str) -> Iterator[Estimate]:
+def _of_line(found: ValveFit, lines: Lines, edge: str) -> Iterator[Estimate]:
     """Area, dead band and rounding of a straight opening; edge "": of all."""
-    suffix, known, steps = f"[{edge}]" if edge else "", found.known.rounding.value, found.steps.of(edge)
-    note = f"fit of {np.count_nonzero(steps.good)} steps, section 4(a)"
+    opening, suffix = found.on_line(lines, edge), f"[{edge}]" if edge else ""
+    note = f"fit of {np.count_nonzero(found.steps.of(edge).good)} steps, section 4(a)"
     about = f"{note}, with C_d and density as known" + ", extrapolated" * (not opening.reached)
     yield replace(opening.full, name=f"valve_area{suffix}", note=about)
-    assumed = f", rounding {known:.3g} V as known; the interval is that of any rounding"
-    about = note + assumed * _assumed(found, lines)
-    yield replace(opening.start, name=f"valve_dead_band{suffix}", note=about)
-    if not _assumed(found, lines):
-        yield replace(lines.rounding(), name=f"valve_command_rounding{suffix}", note=note)
-
-
-def _assumed(found: ValveFit, lines: Lines) -> bool:
-    """Whether the rounding of a straight opening is that which was known."""
-    return not lines.told and lines.width == found.known.rounding.value
+    if assumed := found.assumed(lines):
+        note += f", rounding {lines.rounding.value:.3g} V as known; the interval is that of any rounding"
+    yield replace(opening.start, name=f"valve_dead_band{suffix}", note=note)
+    if not assumed:
+        yield replace(lines.rounding, name=f"valve_command_rounding{suffix}", note=note)
 
 
 def _of_edges(found: ValveFit) -> Iterator[Estimate]:
     """Area and start of each edge; openings at the points of the tables with their intervals."""
     for edge, opening in found.openings.items():
-        if lines := found.straight:
-            yield from _of_line(found, lines, found.on_line(lines, edge, edge), edge)
+        if found.straight:
+            yield from _of_line(found, found.straight, edge)
             continue
         yield replace(opening.full, name=f"valve_area[{edge}]", note="at the highest command, section 4(a)")
         yield replace(opening.start, name=f"valve_dead_band[{edge}]", note="start of the opening")
         for k in opening.table:
-            yield _relative(found, opening, k, f"opening[{edge}]({opening.command[k]:.3g} V)")
-
-
-def _relative(found: ValveFit, opening: Opening, k: int, name: str, note: str = "") -> Estimate:
-    """An area relative to the largest one."""
-    e, largest = opening.areas[k], _widest(found).full.value
-    value, sd, low, high = (x / largest for x in (e.value, e.sd, e.low, e.high))
-    return Estimate(name, value, "1", sd, low, high, note or "point of the table, relative to valve_area")
-
-
-def _first(found: ValveFit) -> Opening:
-    """The opening of the first edge, which all have if one line suffices."""
-    return next(iter(found.openings.values()))
-
-
-def _widest(found: ValveFit) -> Opening:
-    """That of the edge that opens furthest."""
-    return max(found.openings.values(), key=lambda opening: opening.full.value)
+            note, name = "point of the table, relative to valve_area", f"({opening.command[k]:.3g} V)"
+            yield opening.relative(k, found.widest, f"opening[{edge}]{name}", note)
 
 
 def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estimate]:
@@ -999,13 +955,13 @@ def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estim
             yield exact(f"{name}_command_{i}", float(command), "V", note)
         yield exact(f"{name}_opening_1", 0.0, "1", note)
         for i, k in enumerate(opening.table, 2):
-            point = _relative(found, opening, k, f"{name}_opening_{i}", note)
+            point = opening.relative(k, found.widest, f"{name}_opening_{i}", note)
             yield replace(point, listed=f"{name}_openings")
 
 
 def _resistances(found: ValveFit) -> Iterator[Estimate]:
     """C_R at the voltages of `VOLTAGES`, and the zero of a straight opening."""
-    for edge, opening in _distinct(found).items():
+    for edge, opening in found.distinct.items():
         suffix = f"[{edge}]" if edge else ""
         for voltage in VOLTAGES:
             if (e := opening.at(voltage)) and e.low > 0:
@@ -1015,13 +971,7 @@ def _resistances(found: ValveFit) -> Iterator[Estimate]:
     if found.common:
         note = "zero of the straight part of the opening, extrapolated"
         fitted = found.common.solution.fit
-        yield fitted.estimate("dead_band + rounding/2", "V", note, f"start{found.label}")
-
-
-def _distinct(found: ValveFit) -> dict[str, Opening]:
-    """Edge -> opening; one entry with the name "" if all are the same."""
-    one = found.common or len(found.openings) == 1
-    return {"": _first(found)} if one else dict(found.openings)
+        yield fitted.estimate("dead_band + rounding/2", "V", note, "start")
 
 
 # ---- remarks and panels --------------------------------------------------------------------------------
@@ -1040,10 +990,10 @@ def _remarks(found: ValveFit, zero: Estimate) -> Iterator[str]:
     test = f"chi-square test against the free areas, {_chance(found.p)}"
     if lines := found.straight:
         yield f"A straight line with a dead band suffices ({test})."
-        if _assumed(found, lines):
+        if found.assumed(lines):
             yield (
                 "The data determine the zero of the extrapolated straight part, not the rounding of its "
-                f"start. The dead band is this zero minus half the known rounding of {lines.width:.3g} V."
+                f"start. The dead band is this zero minus half the known rounding of {lines.rounding.value:.3g} V."
             )
         else:
             begins = "is estimated" if lines.told else "is as sharp as the data allow"
@@ -1102,7 +1052,7 @@ def panels(found: ValveFit) -> tuple[Panel, ...]:
         Curve("masked: dead zone of the meter", dead.command, masked, "masked"),
     ]
     points, lines, residuals = list[Curve](), list[Curve](), list[Curve]()
-    for edge, opening in _distinct(found).items():
+    for edge, opening in found.distinct.items():
         label = f": {edge}" if edge else ""
         volts = np.unique([*np.linspace(0.0, c.full_command, DRAWN), opening.start.value, *opening.command])
         area = opening.drawn(volts)
