@@ -45,7 +45,7 @@ from fmus.components.chamber import Liquid
 from fmus.components.opening_curve import POINTS
 from fmus.components.orifice import Edge
 from fmus.identification import balance
-from fmus.identification.balance import UNLIKELY, Law, Samples, Solution, probability
+from fmus.identification.balance import UNLIKELY, Law, Normal, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import STEP_SIGNALS, StepMeans
 from fmus.identification.procedures.fit import Fit, Procedure
@@ -83,6 +83,7 @@ FURTHER = 10.0  # limits of a zero up to which it may be a fault of a sensor
 COMMAND, RESISTANCE = "command [V]", "C_R [Pa.s2/m6]"  # labels of axes
 PRESSURES = ("pressure_in", "pressure_out")
 CHANNELS = (*PRESSURES, "flow", "command", "supply drop", "change", "course", "density", "viscosity")
+SCATTERED = [CHANNELS.index(n) for n in ("pressure_in", "flow")]
 EFFECTS, LINE = ("lag", "drift"), ("slope", "start")  # unknowns of all edges, and of one straight opening
 LEAK, LEAK_SD = "leak", 1.0  # of the leakage over the known one, less one: it is assumed, not measured
 FINE, DRAWN = 1000, 96  # roundings between those of a profile, and commands at which an opening is drawn
@@ -661,11 +662,12 @@ def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
     near = None
     with suppress(Problem):
         near = _fit(steps, c, limits)
-    outside = near is not None and probability(*_free_offset(near.solution), limits["pressure_in"]) < UNLIKELY
+    limit = sum(limits[n] for n in PRESSURES)
+    outside = near is not None and probability(*free_offset(near.solution), limit) < UNLIKELY
     if near and near.straight and not outside:
         return near
     far = _fit(steps, c, {n: x * FURTHER ** (n in PRESSURES) for n, x in limits.items()})
-    within = abs(offset(far.solution)[0]) < FURTHER * sum(limits[n] for n in PRESSURES)
+    within = abs(offset(far.solution)[0]) < FURTHER * limit
     return far if near is None or (within and (outside or far.straight)) else near
 
 
@@ -674,10 +676,17 @@ def offset(solution: Solution) -> tuple[float, float]:
     return solution.every.combination({"pressure_in": 1.0, "pressure_out": -1.0})
 
 
-def _free_offset(solution: Solution) -> tuple[float, float]:
-    """`offset` with a zero of the inlet that no data sheet bounds."""
-    value, sd = solution.free("pressure_in")
-    return value - solution.every["pressure_out"], sd
+def free_offset(solution: Solution) -> tuple[float, float]:
+    """`offset` by the data alone, without the priors of the two zeros."""
+    normal, names = solution.normal, list(solution.every.names)
+    k, other = (names.index(n) for n in PRESSURES)
+    kept = np.arange(len(names)) != other  # both zeros have the same effect but for its sign
+    alone = Normal(normal.columns[kept], np.where(np.arange(len(names)) == k, 0.0, normal.prior)[kept])
+    e, row = solution.residual, k - (other < k)
+    step = alone.step(e, solution.every.values[kept])
+    left = e + step @ alone.columns
+    scatter = max(1.0, float(left @ left) / max(solution.fit.freedom, 1))
+    return offset(solution)[0] + float(step[row]), math.sqrt(alone.inverse[row, row] * scatter)
 
 
 def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
@@ -783,7 +792,9 @@ def _findings(recordings: Sequence[Recording], found: ValveFit) -> Iterator[Find
         found_in = data.signal_findings(every, STEP_SIGNALS, label)
         yield from (f for f in found_in if (f.fault == "noise") == noise)
     yield from _zeros(recordings, found)
-    yield Fit(label, recordings, STEP_SIGNALS, found.by_nodes, ()).model()
+    # the noise of these alone is tested: commands and what was known are exact
+    own = [replace(s, raw=s.raw[SCATTERED], sd=s.sd[SCATTERED]) for s in found.by_nodes.samples]
+    yield Fit(label, recordings, STEP_SIGNALS, replace(found.by_nodes, samples=own), ()).model()
     word = data.course(recordings[0], [slice(0, 1)])[1]
     for fault, (value, sd), text in (
         (
@@ -838,11 +849,11 @@ def _size(found: ValveFit, parameters: Mapping[str, Number]) -> Finding:
 def _zeros(recordings: Sequence[Recording], found: ValveFit) -> Iterator[Finding]:
     """The zeros of the pressures, and that of the meter, against what is declared."""
     declared = data.zero_limits(recordings, PRESSURES) | data.declared_limits(recordings, ["flow"])
-    (value, sd), (unit, one) = _free_offset(found.solution), BAR
+    (value, sd), (unit, one) = free_offset(found.solution), BAR
     limit = sum(declared[n] for n in PRESSURES)
     yield Finding(
         "zero of a pressure sensor",
-        probability(value, sd, declared["pressure_in"]),
+        probability(value, sd, limit) if abs(value) < FURTHER * limit else 1.0,
         f"valve: the data fit best if the zeros of the two pressures differ by {value / one:.3g} +- "
         f"{sd / one:.2g} {unit}; declared are {limit / one:.3g} {unit}",
     )
