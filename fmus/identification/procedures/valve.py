@@ -9,18 +9,19 @@ The data are means over each step with their standard errors. The steps of all e
 
 a_i is the unknown area at each command V_i, k_i the known slope between its neighbours, L the leakage
 (coefficient G) of the open edge minus that of the closed edge at the same port, which has the rest of the
-pressure drop dp_s from supply to tank. x = V - s lag/2 is the position of a spool with hysteresis, s = 1 after
-a rising command and -1 after a falling one; t is the time or the temperature. Lag and drift are tested, and
-estimated with the areas where they are significant. The zeros of the three sensors are unknowns, too, and the
-leakage, which is assumed, not measured (prior: the known one, with a standard deviation as large).
+pressure drop dp_s from supply to tank. x = V - s lag/2 is the position of a spool with hysteresis, s = 1
+after a rising command and -1 after a falling one; t is the time or the temperature. Lag and drift are tested,
+and estimated with the areas where they are significant. The zeros of the three sensors are unknowns, too, and
+the leakage, which is assumed, not measured (prior: the known one, with a standard deviation as large).
 
 A straight line is this law with fewer unknowns, the opening of `components.spool_valve`:
 
     A = k ramp(x - V_t + w/2, w) (1 + drift t)        dead band V_t - w/2, rounding w
 
-If chi-square of the free areas does not refute it, it is the result, of all edges together unless these differ.
-Otherwise each edge gets a table of up to nine of its areas. The flow hardly tells w apart from a dead band, so
-intervals are those of the profile likelihood over all w with a dead band that is not negative.
+If chi-square against the free areas does not refute it, it is the result. Otherwise a table of up to nine of
+the areas is. Both are those of all edges together unless these differ. The flow hardly tells w apart from a
+dead band, so their intervals are those of the profile likelihood over all w with a dead band above zero. w is
+as known if the data allow it, else sharp if they allow that.
 
 Validity: steady flow above the dead zone of the meter; leakage below a tenth of it. Only the product
 C_d A sqrt(2/rho) is measured: the area is valid for the known C_d and the density, which is that of the
@@ -149,10 +150,6 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     found = identify_openings(tests, parameters)
     value, sd = offset(found.solution)
     zero = Estimate.normal("pressures without flow", value, "Pa", sd, "pressure_in - pressure_out")
-    lag, lag_sd = _effect(found, "lag")
-    hysteresis = Estimate.normal(
-        "hysteresis", lag, "V", lag_sd, "from steps with rising and falling commands"
-    )
     return ProcedureResult(
         procedure="valve",
         title="Valve: C_R of the metering edges over the command",
@@ -160,13 +157,8 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         estimates=tuple(_estimates(found)),
         panels=panels(found),
         remarks=tuple(_remarks(found, zero)),
-        others=(
-            *_resistances(found),
-            zero,
-            *([hysteresis] if "lag" in found.freed else []),
-            *_of_edges(found),
-        ),
-        findings=(*_findings(tests, found), _size(found, parameters)),
+        others=(*_resistances(found), zero, *_others(found)),
+        findings=tuple(_findings(tests, found, parameters)),
         listed=tuple(_tables(found, parameters)),
     )
 
@@ -377,11 +369,12 @@ def _closed(steps: ValveSteps, c: Known) -> tuple[Mask, float]:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Free areas [m2] of one edge at its commands [V], (m,) each, ascending, and their covariance."""
+    """Free areas [m2] of one opening at its commands [V], (m,) each, ascending, and their covariance."""
 
     command: Array
     area: Array
     covariance: Array
+    solution: Solution
 
     @property
     def sd(self) -> Array:
@@ -451,9 +444,9 @@ class ValveFit:
     """Fits of the steps of all edges: free areas, and straight lines.
 
     nodes      edge -> its free areas
-    by_nodes   their solution, with the zeros in common
-    lines      a straight line for each edge; None if there is no fit
-    line       one line for all edges, as well
+    pooled     free areas of all edges together; None if there is no fit, as the following
+    lines      a straight line for each edge
+    line       one line for all edges
     scatter    residuals over the noise that steps with one command have, 1 unless it is significantly more
     effects    lag [V] and drift [1], and their standard deviations
     freed      those of them that are estimated with the openings
@@ -463,7 +456,7 @@ class ValveFit:
     known: Known
     limits: Mapping[str, float]
     nodes: Mapping[str, Nodes]
-    by_nodes: Solution
+    pooled: Nodes | None
     lines: Lines | None
     line: Lines | None
     scatter: float
@@ -489,10 +482,14 @@ class ValveFit:
 
     @cached_property
     def equal(self) -> float:
-        """Probability that straight edges which are equal differ as much."""
-        if not (self.lines and self.line):
+        """Probability that equal edges differ as much: that of straight ones if a line suffices."""
+        if self.straight:
+            terms = 2 * (len(self.nodes) - 1)
+            return self._chance(self.line.cost - self.straight.cost, terms) if self.line else 0.0
+        if not self.pooled:
             return 0.0
-        return self._chance(self.line.cost - self.lines.cost, 2 * (len(self.nodes) - 1))
+        terms = sum(n.command.size for n in self.nodes.values()) - self.pooled.command.size
+        return self._chance(self.pooled.solution.cost - self.by_nodes.cost, terms)
 
     @cached_property
     def common(self) -> Lines | None:
@@ -501,6 +498,11 @@ class ValveFit:
             return None
         fitted = self.line.solution.fit
         return self.line if fitted["start"] > -CERTAIN * fitted.sd("start") else None
+
+    @property
+    def by_nodes(self) -> Solution:
+        """The fit of the free areas of each edge, with the zeros in common."""
+        return next(iter(self.nodes.values())).solution
 
     @property
     def solution(self) -> Solution:
@@ -521,22 +523,17 @@ class ValveFit:
 
     @cached_property
     def openings(self) -> Mapping[str, Opening]:
-        """Edge -> its opening; all have the same object if one straight line suffices."""
-        if self.common:
-            return dict.fromkeys(self.nodes, self.on_line(self.common, ""))
-        return {
-            edge: self.on_line(self.straight, edge) if self.straight else self._free(edge)
-            for edge in self.nodes
-        }
-
-    def assumed(self, lines: Lines) -> bool:
-        """Whether the rounding of a straight opening is that which was known."""
-        return not lines.told and lines.rounding.value == self.known.rounding.value
+        """Edge -> its opening; the same object for equal edges."""
+        if self.straight and not self.common:
+            return {edge: self.on_line(self.straight, edge) for edge in self.nodes}
+        if self.common or (self.pooled and self.equal > UNLIKELY):
+            return dict.fromkeys(self.nodes, self.on_line(self.common, "") if self.common else self._free(""))
+        return {edge: self._free(edge) for edge in self.nodes}
 
     @property
     def distinct(self) -> Mapping[str, Opening]:
         """The openings without repetitions: of one only the name is ""."""
-        return {"": self.widest} if self.common or len(self.nodes) == 1 else self.openings
+        return self.openings if len(set(map(id, self.openings.values()))) > 1 else {"": self.widest}
 
     @property
     def widest(self) -> Opening:
@@ -551,14 +548,22 @@ class ValveFit:
 
         commands = [float(s.command.mean()) for s in self.steps.of(edge).grouped(self.known)]
         volts = np.array([v for v in commands if v < self.known.full_command * (1 + SAME)])
-        return Opening(volts, [at(v) for v in volts], lines.start(edge), at, self.known.full_command)
+        start, known = lines.start(edge), self.known.rounding.value
+        assumed = not lines.told and lines.rounding.value == known
+        if assumed:
+            note = f"rounding {known:.3g} V as known; the interval is that of any rounding"
+            start = replace(start, note=note)
+        rounding = None if assumed else lines.rounding
+        return Opening(volts, [at(v) for v in volts], start, rounding, at, self.known.full_command)
 
     def _free(self, edge: str) -> Opening:
         """The opening with free areas. It begins with their lowest chord.
 
         It may begin anywhere below the first area, but not before the last command but one that has no flow.
         """
-        nodes, full, steps = self.nodes[edge], self.known.full_command, self.steps.of(edge)
+        nodes = self.nodes[edge] if edge else self.pooled
+        assert nodes
+        full, steps = self.known.full_command, self.steps.of(edge)
         inside = nodes.command < full * (1 + SAME)
         v, sd, areas = nodes.command[inside], nodes.sd[inside], list[Estimate]()
         rising = isotonic_regression(nodes.area[inside], weights=sd**-2.0).x
@@ -569,7 +574,7 @@ class ValveFit:
         low = float(shut[-2]) if len(shut) > 1 else 0.0
         value = min(max(nodes.start()[0], low), float(v[0]) - SHARP)
         start = Estimate("", value, "V", float(v[0] - low) / 12**0.5, low, float(v[0]), "")
-        return Opening(v, areas, start, None, full)
+        return Opening(v, areas, start, None, None, full)
 
     def _drifting(self, e: Estimate) -> Estimate:
         change = self.drift * e.value
@@ -583,12 +588,14 @@ class Opening:
     command   [V], shape (m,), ascending
     areas     at these [m2], with pointwise 95 % intervals
     start     of the opening [V]
+    rounding  of its start [V], if that is not the known one
     line      area of a straight line at a command [V]; None for free areas
     """
 
     command: Array
     areas: Sequence[Estimate]
     start: Estimate
+    rounding: Estimate | None
     line: Callable[[float], Estimate] | None
     full_command: float
 
@@ -627,15 +634,13 @@ class Opening:
         area = np.array([e.value for e in self.areas])
         half = np.array([max((e.high - e.low) / 2, 1e-4 * area[-1]) for e in self.areas])
         chosen = [area.size - 1]
-        while len(chosen) < min(POINTS - 1, area.size):
+        for _ in range(min(POINTS - 1, area.size) - 1):
             off = np.abs(self.through(chosen, self.command) - area) / half
             chosen = sorted({*chosen, int(off.argmax())})
-            if off.max() < 1e-9:
-                break
         return chosen
 
     def through(self, chosen: Sequence[int], command: Array) -> Array:
-        """Areas between some of the measured ones as in the machine: a monotone cubic, constant above the last.
+        """Areas as in the machine: a monotone cubic through some measured ones, constant above the last.
 
         Its slope begins with zero, here by a further point before the start.
         """
@@ -646,18 +651,16 @@ class Opening:
 
     def drawn(self, command: Array) -> Array:
         """Areas [m2] as the machine has them, at commands (n,)."""
-        return (
-            np.array([self.line(v).value for v in command])
-            if self.line
-            else self.through(self.table, command)
-        )
+        if self.line:
+            return np.array([self.line(v).value for v in command])
+        return self.through(self.table, command)
 
 
 def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
     """Areas and lines of all edges; limits: largest zeros of the sensors.
 
-    A zero of the pressures far outside its limit is taken where the data contradict all zeros within: steps with
-    one command at several pressures, or a straight line, which bends with a zero.
+    A zero of the pressures far outside its limit is taken where the data contradict all zeros within: steps
+    with one command at several pressures, or a straight line, which bends with a zero.
     """
     near = None
     with suppress(Problem):
@@ -698,18 +701,21 @@ def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
         return balance.solve(samples, start, "valve", limits, tested, {LEAK: LEAK_SD})
 
     try:
-        nodes, solution = _nodes(steps, c, solved)
+        nodes = _nodes(steps, c, solved, each)
     except Problem:  # residuals are too large without
         freed = ("lag",)
-        nodes, solution = _nodes(steps, c, solved)
-    effects = _effects(solution, freed)
+        nodes = _nodes(steps, c, solved, each)
+    effects = _effects(nodes[each[0]].solution, freed)
     freed += tuple(n for n, (value, sd) in effects.items() if probability(value, sd) < UNLIKELY)
     if freed:
-        nodes, solution = _nodes(steps, c, solved)
-        effects |= {n: (solution.fit[n], solution.fit.sd(n)) for n in freed}
-    scatter = solution.fit.times_noise if solution.fit.misfit else 1.0
+        nodes = _nodes(steps, c, solved, each)
+    fitted, pooled = nodes[each[0]].solution.fit, None
+    effects |= {n: (fitted[n], fitted.sd(n)) for n in freed}
+    with suppress(Problem):  # edges that differ much
+        pooled = nodes[each[0]] if len(each) == 1 else _nodes(steps, c, solved, ("",))[""]
+    scatter = fitted.times_noise if fitted.misfit else 1.0
     lines, line = (_lines(steps, c, solved, scatter, labels) for labels in (each, ("",)))
-    return ValveFit(steps, c, limits, nodes, solution, lines, line, scatter, effects, freed)
+    return ValveFit(steps, c, limits, nodes, pooled, lines, line, scatter, effects, freed)
 
 
 def _effects(solution: Solution, freed: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -721,10 +727,10 @@ def _effects(solution: Solution, freed: Sequence[str]) -> dict[str, tuple[float,
     return dict(zip(names, zip(map(float, values), np.sqrt(np.diag(covariance)), strict=True), strict=True))
 
 
-def _nodes(steps: ValveSteps, c: Known, solved: Solve) -> tuple[dict[str, Nodes], Solution]:
-    """Free areas of each edge."""
+def _nodes(steps: ValveSteps, c: Known, solved: Solve, labels: Sequence[str]) -> dict[str, Nodes]:
+    """Free areas of each edge, or of all together for the label ""."""
     samples, start, own = list[Samples](), dict[str, float](), dict[str, tuple[Array, list[str]]]()
-    for edge in steps.edges:
+    for edge in labels:
         groups = steps.of(edge).grouped(c)
         at, mean = np.array([(s.command.mean(), s.effective(c).mean()) for s in groups]).T
         own[edge] = at, [f"area{edge} {x:.4g} V" for x in at]
@@ -736,12 +742,13 @@ def _nodes(steps: ValveSteps, c: Known, solved: Solve) -> tuple[dict[str, Nodes]
     solution, nodes = solved(samples, start), dict[str, Nodes]()
     for edge, (at, names) in own.items():
         rows = [solution.fit.names.index(n) for n in names]
-        nodes[edge] = Nodes(at, solution.fit.values[rows], solution.fit.covariance[np.ix_(rows, rows)])
-    return nodes, solution
+        covariance = solution.fit.covariance[np.ix_(rows, rows)]
+        nodes[edge] = Nodes(at, solution.fit.values[rows], covariance, solution)
+    return nodes
 
 
 def _lines(steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: Sequence[str]) -> Lines | None:
-    """A line for each edge, or one for all for the label "", over their roundings; None if they have no fit."""
+    """A line for each edge, or one for all for the label "", with its rounding; None if there is no fit."""
     samples, start = list[Samples](), dict[str, float]()
     read = np.isfinite(steps.flow_error + steps.drop_error) & ~steps.dead & ~steps.clipped
     for label in labels:
@@ -761,7 +768,8 @@ def _lines(steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: S
     if not (sharp := at(SHARP, "rounding")):
         return None
     longest = max(2 * min(sharp.fit[f"start{label}"] for label in labels), SHARP)
-    known, prior = min(max(c.rounding.value, SHARP), longest), c.rounding.sd or math.inf
+    guess, prior = c.rounding.value, c.rounding.sd or c.rounding.value
+    known = min(max(guess, SHARP), longest)
     tried = np.unique([*(SHARP + (longest - SHARP) * np.linspace(0, 1, WIDTHS) ** 2), known])
     fits = {float(w): found for w in tried if (found := at(float(w), "rounding"))}
     widths, cost = np.array(list(fits)), np.array([found.cost for found in fits.values()]) / scatter**2
@@ -771,44 +779,37 @@ def _lines(steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: S
         free = at(float(widths[k]))
         if free and SHARP < (w := free.fit["rounding"]) < longest and (sd := free.fit.sd("rounding")) < prior:
             return Lines(free, Estimate.normal("", w, "V", sd, "", minimum=SHARP), free.cost)
-    cost += ((widths - c.rounding.value) / prior) ** 2
-    above = np.sqrt(cost - cost.min())  # in standard deviations
-    fine = np.union1d(np.linspace(widths[0], widths[-1], FINE), widths)
-    low, *_, high = np.repeat(fine[np.interp(fine, widths, above) <= FACTOR], 2)
+    allowed = cost <= cost.min() + FACTOR**2  # by the data alone
     k = int(np.argmin(np.abs(widths - known)))
-    best = k if above[k] <= FACTOR else 0 if above[0] <= FACTOR else int(above.argmin())
-    sd = float(high - low) / 2 / FACTOR
-    return Lines(fits[float(widths[best])], Estimate("", float(widths[best]), "V", sd, low, high, ""), least)
+    width = float(widths[k if allowed[k] else 0 if allowed[0] else cost.argmin()])
+    cost += ((widths - guess) / prior) ** 2
+    fine = np.union1d(np.linspace(widths[0], widths[-1], FINE), widths)
+    likely = fine[np.interp(fine, widths, np.sqrt(cost - cost.min())) <= FACTOR]  # in standard deviations
+    low, high = min(float(likely[0]), width), max(float(likely[-1]), width)
+    return Lines(fits[width], Estimate("", width, "V", (high - low) / 2 / FACTOR, low, high, ""), least)
 
 
 # ---- tests of what the procedure takes for granted -----------------------------------------------------
 
 
-def _findings(recordings: Sequence[Recording], found: ValveFit) -> Iterator[Finding]:
+def _findings(
+    recordings: Sequence[Recording], found: ValveFit, parameters: Mapping[str, Number]
+) -> Iterator[Finding]:
     """One finding per assumption: the edge that contradicts it most, for as many edges as were tested."""
-    label = "valve"
     scatters = [_scatter(r, found.known) for r in recordings]
     for every, noise in ((scatters, True), (recordings, False)):
-        found_in = data.signal_findings(every, STEP_SIGNALS, label)
+        found_in = data.signal_findings(every, STEP_SIGNALS, "valve")
         yield from (f for f in found_in if (f.fault == "noise") == noise)
     yield from _zeros(recordings, found)
     # the noise of these alone is tested: commands and what was known are exact
     own = [replace(s, raw=s.raw[SCATTERED], sd=s.sd[SCATTERED]) for s in found.by_nodes.samples]
-    yield Fit(label, recordings, STEP_SIGNALS, replace(found.by_nodes, samples=own), ()).model()
-    word = data.course(recordings[0], [slice(0, 1)])[1]
-    for fault, (value, sd), text in (
-        (
-            "hysteresis",
-            _effect(found, "lag"),
-            "after a rising command the opening lags by {:.2g} +- {:.1g} V",
-        ),
-        (
-            "oil temperature",
-            _effect(found, "drift", 100),
-            f"the area changes with the {word} by {{:.2g}} +- {{:.1g}} % over all of it",
-        ),
-    ):
-        yield Finding(fault, probability(value, sd), f"valve: {text.format(value, sd)}")
+    yield Fit("valve", recordings, STEP_SIGNALS, replace(found.by_nodes, samples=own), ()).model()
+    lag, drift = (found.effects.get(name, (0.0, 0.0)) for name in EFFECTS)
+    told = f"after a rising command the opening lags by {lag[0]:.2g} +- {lag[1]:.1g} V"
+    yield Finding("hysteresis", probability(*lag), f"valve: {told}, against a falling one")
+    word, (percent, sd) = data.course(recordings[0], [slice(0, 1)])[1], (100 * x for x in drift)
+    told = f"changes with the {word} by {percent:.2g} +- {sd:.1g} % over all of it"
+    yield Finding("oil temperature", probability(*drift), f"valve: the area {told}")
     for recording in recordings:
         if density := data.stated(recording, "density"):
             other = abs(density / found.known.density - 1) > SAME_OIL
@@ -825,20 +826,9 @@ def _findings(recordings: Sequence[Recording], found: ValveFit) -> Iterator[Find
     starts = [test for edge in found.nodes for test in _start(edge, found)]
     p, sentence = min(starts, key=lambda test: test[0])
     yield Finding("dead band", min(1.0, len(starts) * p), sentence)
-
-
-def _effect(found: ValveFit, name: str, factor: float = 1.0) -> tuple[float, float]:
-    """Hysteresis or drift and its standard deviation, 0 if no command was repeated."""
-    value, sd = found.effects.get(name, (0.0, 0.0))
-    return factor * value, factor * sd
-
-
-def _size(found: ValveFit, parameters: Mapping[str, Number]) -> Finding:
-    """Whether the area is far from the known one, as with a pressure in another unit."""
-    known = parameters.get("boom_stick.valve_area")
-    largest = found.widest.full.value
+    known, largest = parameters.get("boom_stick.valve_area"), found.widest.full.value
     ratio = largest / known.value if known else 1.0
-    return Finding(
+    yield Finding(
         "unit",
         0.0 if max(ratio, 1 / ratio) > OTHER_SIZE else 1.0,
         f"valve: the area at full command is {1e6 * largest:.3g} mm2, {ratio:.2g} times the known one: "
@@ -881,14 +871,13 @@ def _start(edge: str, found: ValveFit) -> Iterator[Test]:
         "offset. The machine has no opening at zero command",
     )
     for command, bound in sorted(zip(*found.corrected.of(edge).idle(found.known), strict=True), reverse=True):
+        # below the lowest free area nothing is known
+        area, sd = (float(np.interp(command, nodes.command, x, left=0.0)) for x in (nodes.area, nodes.sd))
         if lines:
             e = lines.area(edge, command)
-            least, sd = e.value, e.sd
-        else:  # below the lowest node nothing is known
-            least = float(np.interp(command, nodes.command, nodes.area, left=0.0))
-            sd = float(np.interp(command, nodes.command, nodes.sd))
+            area, sd = e.value, e.sd
         yield (
-            float(stats.norm.sf((least - bound) / sd)) if least else 1.0,
+            float(stats.norm.sf((area - bound) / sd)) if area else 1.0,
             f"valve {edge}: the flow meter reads nothing at {command:.3g} V, although the opening gives a "
             "flow: the opening has a step, or the meter was stuck",
         )
@@ -898,42 +887,37 @@ def _start(edge: str, found: ValveFit) -> Iterator[Test]:
 
 
 def _estimates(found: ValveFit) -> Iterator[Estimate]:
-    """Those of the one straight opening; of tables the largest area and the first start of an opening."""
+    """Those of the one straight opening; of several the largest area and the first start."""
     if found.common:
-        yield from _of_line(found, found.common, "")
+        yield from _of(found.widest, "", f"fit of {np.count_nonzero(found.steps.good)} steps")
         return
-    widest, starts = found.widest, (opening.start for opening in found.openings.values())
-    where = "full command" if widest.reached else f"{widest.command[-1]:.3g} V, the highest command"
-    note = f"at {where}, with C_d and density as known, section 4(a)"
-    yield replace(widest.full, name="valve_area", note=note)
-    first = min(starts, key=lambda start: start.value)
-    yield replace(
-        first, name="valve_dead_band", note="start of the opening; the tables of the edges replace it"
+    start = min((opening.start for opening in found.openings.values()), key=lambda start: start.value)
+    note = "the tables of the edges replace it"
+    yield from _of(
+        replace(found.widest, start=replace(start, note=note), rounding=None), "", "largest of all edges"
     )
 
 
-def _of_line(found: ValveFit, lines: Lines, edge: str) -> Iterator[Estimate]:
-    """Area, dead band and rounding of a straight opening; edge "": of all."""
-    opening, suffix = found.on_line(lines, edge), f"[{edge}]" if edge else ""
-    note = f"fit of {np.count_nonzero(found.steps.of(edge).good)} steps, section 4(a)"
-    about = f"{note}, with C_d and density as known" + ", extrapolated" * (not opening.reached)
+def _of(opening: Opening, suffix: str, note: str) -> Iterator[Estimate]:
+    """Area, dead band and rounding of an opening."""
+    where = "" if opening.reached else f", not measured above {opening.command[-1]:.3g} V"
+    about = f"{note}, section 4(a), with C_d and density as known{where}"
     yield replace(opening.full, name=f"valve_area{suffix}", note=about)
-    if assumed := found.assumed(lines):
-        note += f", rounding {lines.rounding.value:.3g} V as known; the interval is that of any rounding"
-    yield replace(opening.start, name=f"valve_dead_band{suffix}", note=note)
-    if not assumed:
-        yield replace(lines.rounding, name=f"valve_command_rounding{suffix}", note=note)
+    about = ", ".join(filter(None, (note, "section 4(a)", opening.start.note)))
+    yield replace(opening.start, name=f"valve_dead_band{suffix}", note=about)
+    if opening.rounding:
+        yield replace(opening.rounding, name=f"valve_command_rounding{suffix}", note=about)
 
 
-def _of_edges(found: ValveFit) -> Iterator[Estimate]:
-    """Area and start of each edge; openings at the points of the tables with their intervals."""
+def _others(found: ValveFit) -> Iterator[Estimate]:
+    """The hysteresis, where it is significant; area and start of each edge, openings of the tables."""
+    if "lag" in found.freed:
+        note = "from steps with rising and falling commands"
+        yield Estimate.normal("hysteresis", found.effects["lag"][0], "V", found.effects["lag"][1], note)
     for edge, opening in found.openings.items():
-        if found.straight:
-            yield from _of_line(found, found.straight, edge)
-            continue
-        yield replace(opening.full, name=f"valve_area[{edge}]", note="at the highest command, section 4(a)")
-        yield replace(opening.start, name=f"valve_dead_band[{edge}]", note="start of the opening")
-        for k in opening.table:
+        own = found.on_line(found.straight, edge) if found.straight else opening
+        yield from _of(own, f"[{edge}]", f"fit of {np.count_nonzero(found.steps.of(edge).good)} steps")
+        for k in opening.table if not found.straight else ():
             note, name = "point of the table, relative to valve_area", f"({opening.command[k]:.3g} V)"
             yield opening.relative(k, found.widest, f"opening[{edge}]{name}", note)
 
@@ -957,10 +941,7 @@ def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estim
                 yield exact(f"{name}_opening_1", 0.0, "1", note)
             continue
         source = next(e for e in (edge, other, *found.openings) if e in found.openings)
-        opening, note = (
-            found.openings[source],
-            f"areas of edge {source}, section 4(a); relative to valve_area",
-        )
+        opening, note = found.openings[source], f"edge {source}, section 4(a); relative to valve_area"
         commands = opening.start.value, *opening.command[opening.table]
         for i, command in enumerate(commands, 1):
             yield exact(f"{name}_command_{i}", float(command), "V", note)
@@ -1001,14 +982,14 @@ def _remarks(found: ValveFit, zero: Estimate) -> Iterator[str]:
     test = f"chi-square test against the free areas, {_chance(found.p)}"
     if lines := found.straight:
         yield f"A straight line with a dead band suffices ({test})."
-        if found.assumed(lines):
+        known, opening = c.rounding.value, next(iter(found.openings.values()))
+        if not opening.rounding:
             yield (
                 "The data determine the zero of the extrapolated straight part, not the rounding of its "
-                f"start. The dead band is this zero minus half the known rounding of {lines.rounding.value:.3g} V."
+                f"start. The dead band is this zero minus half the known rounding of {known:.3g} V."
             )
-        else:
-            begins = "is estimated" if lines.told else "is as sharp as the data allow"
-            yield f"The start of the opening {begins}; the known rounding is {c.rounding.value:.3g} V."
+        elif not lines.told:
+            yield f"The opening begins as sharply as the data allow, the known rounding is {known:.3g} V."
     else:
         yield (
             f"A straight line does not suffice ({test}). The openings are tables, valve_pa_commands, "
@@ -1020,20 +1001,15 @@ def _remarks(found: ValveFit, zero: Estimate) -> Iterator[str]:
                 f"{edge}: no flow was measured above {opening.command[-1]:.3g} V, so the area at "
                 f"{c.full_command:.3g} V is open. Hold the full command twice in such an experiment."
             )
-    edges = list(found.openings)
+    edges = found.openings
     if len(edges) < 2:
-        yield f"Only the edge {edges[0]} was tested; the other three are taken to be like it."
+        yield f"Only the edge {next(iter(edges))} was tested; the other three are taken to be like it."
+    elif found.equal > UNLIKELY:
+        chance = f"chi-square test, p = {found.equal:.2g}"
+        yield f"The {len(edges)} edges do not differ significantly ({chance})."
     else:
-        by_edge = ", ".join(
-            f"{e} {opening.full.value * 1e6:.4g} mm2" for e, opening in found.openings.items()
-        )
-        chance = f"chi-square test, {_chance(found.equal)}"
-        if not found.straight:
-            yield f"Each edge has its own table: {by_edge}."
-        elif found.equal > UNLIKELY:
-            yield f"The {len(edges)} edges do not differ significantly ({chance})."
-        else:
-            yield f"The edges differ significantly ({chance}): {by_edge}."
+        by_edge = ", ".join(f"{e} {1e6 * opening.full.value:.4g} mm2" for e, opening in edges.items())
+        yield f"The edges differ significantly (chi-square test, {_chance(found.equal)}): {by_edge}."
     yield from data.pressure_offset_remark(zero)
     oil = ("density", steps.density, "kg/m3"), ("viscosity", steps.viscosity, "Pa.s")
     used = (f"{n} {', '.join(f'{x:.4g}' for x in np.unique(values))} {unit}" for n, values, unit in oil)
