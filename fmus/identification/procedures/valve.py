@@ -80,6 +80,7 @@ MOST = 0.5  # share of the samples of a step that show its scatter
 SAME = 2e-3  # of the full command: steps that are closer have one command
 CERTAIN = 4.0  # standard errors above which a flow is certain
 SHARP, WIDTHS = 1e-3, 17  # V, the shortest rounding that the machine reads; number of roundings of a profile
+EXPONENTS = 0.7, 3.0, 231  # of an opening where it begins: a step begins below, a rounding ends with 3
 FURTHER = 10.0  # limits of a zero up to which it may be a fault of a sensor
 COMMAND, RESISTANCE = "command [V]", "C_R [Pa.s2/m6]"  # labels of axes
 PRESSURES = ("pressure_in", "pressure_out")
@@ -381,7 +382,15 @@ class Nodes:
         """Standard deviations of the areas [m2]."""
         return np.sqrt(np.diag(self.covariance))
 
-    def start(self) -> tuple[float, float]:
+    def start(self) -> float:
+        """Command [V] at which the power (V - V_0)^n through the lowest three areas begins."""
+        n = np.linspace(*EXPONENTS)
+        roots = self.area[:3, None] ** (1 / n)
+        slope = np.diff(roots, axis=0) / np.diff(self.command[:3])[:, None]
+        k = int(np.argmin(np.abs(slope[1] / slope[0] - 1)))
+        return float(self.command[0] - roots[0, k] / slope[0, k])
+
+    def chord(self) -> tuple[float, float]:
         """Command [V] at which the straight line through the lowest two areas begins; standard deviation."""
         a, v, s = self.area, self.command, self.sd
         length = (v[1] - v[0]) / (a[1] - a[0])
@@ -557,9 +566,9 @@ class ValveFit:
         return Opening(volts, [at(v) for v in volts], start, rounding, at, self.known.full_command)
 
     def _free(self, edge: str) -> Opening:
-        """The opening with free areas. It begins with their lowest chord.
+        """The opening with free areas.
 
-        It may begin anywhere below the first area, but not before the last command but one that has no flow.
+        It begins anywhere below the first area, but not before the last command but one that has no flow.
         """
         nodes = self.nodes[edge] if edge else self.pooled
         assert nodes
@@ -568,11 +577,11 @@ class ValveFit:
         v, sd, areas = nodes.command[inside], nodes.sd[inside], list[Estimate]()
         rising = isotonic_regression(nodes.area[inside], weights=sd**-2.0).x
         for measured, a, s in zip(nodes.area[inside], rising, sd, strict=True):
-            e = self._drifting(Estimate.normal("", measured, "m2", s, ""))
-            areas.append(replace(e, value=float(a), low=min(e.low, a), high=max(e.high, a)))
+            e = self._drifting(Estimate.normal("", float(measured), "m2", float(s), ""))
+            areas.append(replace(e, value=float(a), low=min(e.low, float(a)), high=max(e.high, float(a))))
         shut = [x for x in np.unique(np.round(steps.command[steps.closed], 2)) if x < v[0]]
         low = float(shut[-2]) if len(shut) > 1 else 0.0
-        value = min(max(nodes.start()[0], low), float(v[0]) - SHARP)
+        value = min(max(nodes.start(), low), float(v[0]) - SHARP)
         start = Estimate("", value, "V", float(v[0] - low) / 12**0.5, low, float(v[0]), "")
         return Opening(v, areas, start, None, None, full)
 
@@ -724,7 +733,8 @@ def _effects(solution: Solution, freed: Sequence[str]) -> dict[str, tuple[float,
     if not names:
         return {}
     values, covariance = solution.effects(np.array([solution.column(n) for n in names]))
-    return dict(zip(names, zip(map(float, values), np.sqrt(np.diag(covariance)), strict=True), strict=True))
+    pairs = zip(values, np.diag(covariance), strict=True)
+    return {n: (float(v), math.sqrt(s)) for n, (v, s) in zip(names, pairs, strict=True)}
 
 
 def _nodes(steps: ValveSteps, c: Known, solved: Solve, labels: Sequence[str]) -> dict[str, Nodes]:
@@ -864,7 +874,7 @@ def _start(edge: str, found: ValveFit) -> Iterator[Test]:
     if lines:
         first, sd = lines.solution.fit[f"start{edge}"], lines.solution.fit.sd(f"start{edge}")
     else:
-        first, sd = nodes.start()
+        first, sd = nodes.chord()
     yield (
         float(stats.norm.sf(-first / sd)),
         f"valve {edge}: the opening begins at {first:.2g} V: an underlapped spool, or a command with an "
@@ -957,7 +967,7 @@ def _resistances(found: ValveFit) -> Iterator[Estimate]:
         suffix = f"[{edge}]" if edge else ""
         for voltage in VOLTAGES:
             if (e := opening.at(voltage)) and e.low > 0:
-                low, value, high = found.known.resistance(np.array([e.high, e.value, e.low]))
+                low, value, high = map(float, found.known.resistance(np.array([e.high, e.value, e.low])))
                 name, note = f"C_R({voltage:g} V){suffix}", "eq. (2) with the fitted opening"
                 yield Estimate(name, value, "Pa.s2/m6", 2 * value * e.sd / e.value, low, high, note)
     if found.common:
