@@ -40,7 +40,7 @@ LEAST, MOST = 0.90, 0.99  # bars: share of intervals that hold the truth
 # intervals with a part that no seed changes may always hold the truth: the foot of the opening, which no
 # sensor shows, and the leakage of the valve, which is assumed
 BOUNDED = ("valve_dead_band", *(f"C_R({x:g} V)" for x in VOLTS))
-# bars of openings: share of the areas in their intervals; errors of area and zero, the latter over the declared
+# bars of openings: share of the areas in their intervals, error of the area, zero over the declared one
 LEAST_AREAS, AREA, ZERO = 0.90, 0.01, 3.0
 
 

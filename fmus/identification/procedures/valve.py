@@ -563,7 +563,7 @@ class ValveFit:
             note = f"rounding {known:.3g} V as known; the interval is that of any rounding"
             start = replace(start, note=note)
         rounding = None if assumed else lines.rounding
-        return Opening(volts, [at(v) for v in volts], start, rounding, at, self.known.full_command)
+        return Opening(*self._to_full(volts, [at(v) for v in volts]), start, rounding, at)
 
     def _free(self, edge: str) -> Opening:
         """The opening with free areas.
@@ -572,8 +572,7 @@ class ValveFit:
         """
         nodes = self.nodes[edge] if edge else self.pooled
         assert nodes
-        full, steps = self.known.full_command, self.steps.of(edge)
-        inside = nodes.command < full * (1 + SAME)
+        steps, inside = self.steps.of(edge), nodes.command < self.known.full_command * (1 + SAME)
         v, sd, areas = nodes.command[inside], nodes.sd[inside], list[Estimate]()
         rising = isotonic_regression(nodes.area[inside], weights=sd**-2.0).x
         for measured, a, s in zip(nodes.area[inside], rising, sd, strict=True):
@@ -583,7 +582,16 @@ class ValveFit:
         low = float(shut[-2]) if len(shut) > 1 else 0.0
         value = min(max(nodes.start(), low), float(v[0]) - SHARP)
         start = Estimate("", value, "V", float(v[0] - low) / 12**0.5, low, float(v[0]), "")
-        return Opening(v, areas, start, None, None, full)
+        return Opening(*self._to_full(v, areas), start, None, None)
+
+    def _to_full(self, v: Array, areas: list[Estimate]) -> tuple[Array, list[Estimate]]:
+        """Commands and areas up to full command, to which the last chord leads; its upper end is open."""
+        full, last = self.known.full_command, areas[-1]
+        if v[-1] >= full * (1 - SAME):
+            return v, areas
+        slope = (last.value - areas[-2].value) / float(v[-1] - v[-2])
+        value = last.value + slope * (full - float(v[-1]))
+        return np.append(v, full), [*areas, replace(last, value=value, high=math.inf)]
 
     def _drifting(self, e: Estimate) -> Estimate:
         change = self.drift * e.value
@@ -594,8 +602,8 @@ class ValveFit:
 class Opening:
     """Opening of an edge where a flow was measured, and the table of it that the machine reads.
 
-    command   [V], shape (m,), ascending
-    areas     at these [m2], with pointwise 95 % intervals
+    command   [V], shape (m,), ascending; the last one is full command
+    areas     at these [m2], with pointwise 95 % intervals; open at a full command that was not measured
     start     of the opening [V]
     rounding  of its start [V], if that is not the known one
     line      area of a straight line at a command [V]; None for free areas
@@ -606,28 +614,24 @@ class Opening:
     start: Estimate
     rounding: Estimate | None
     line: Callable[[float], Estimate] | None
-    full_command: float
+
+    @property
+    def full(self) -> Estimate:
+        """Area at full command [m2]."""
+        return self.areas[-1]
 
     @property
     def reached(self) -> bool:
-        """Whether the full command was measured."""
-        return bool(self.command[-1] >= self.full_command * (1 - SAME))
-
-    @cached_property
-    def full(self) -> Estimate:
-        """Area at full command [m2]; if that was not measured, its interval is open."""
-        last = self.areas[-1]
-        if self.reached:
-            return last
-        return replace(self.line(self.full_command) if self.line else last, low=last.low, high=math.inf)
+        """Whether a flow was measured at full command."""
+        return math.isfinite(self.full.high)
 
     def at(self, command: float) -> Estimate | None:
         """Area where it is known: between the measured commands for a line, else at these."""
         k = int(np.argmin(np.abs(self.command - command)))
-        if abs(self.command[k] - command) <= SAME * self.full_command:
+        if abs(self.command[k] - command) <= SAME * self.command[-1]:
             return self.areas[k]
-        inside = self.command[0] < command < self.command[-1]
-        return self.line(command) if self.line and inside else None
+        measured = self.command if self.reached else self.command[:-1]
+        return self.line(command) if self.line and measured[0] < command < measured[-1] else None
 
     def relative(self, k: int, widest: Opening, name: str, note: str) -> Estimate:
         """One of the areas relative to that of an edge at full command."""
@@ -910,7 +914,7 @@ def _estimates(found: ValveFit) -> Iterator[Estimate]:
 
 def _of(opening: Opening, suffix: str, note: str) -> Iterator[Estimate]:
     """Area, dead band and rounding of an opening."""
-    where = "" if opening.reached else f", not measured above {opening.command[-1]:.3g} V"
+    where = "" if opening.reached else f", extrapolated from {opening.command[-2]:.3g} V"
     about = f"{note}, section 4(a), with C_d and density as known{where}"
     yield replace(opening.full, name=f"valve_area{suffix}", note=about)
     about = ", ".join(filter(None, (note, "section 4(a)", opening.start.note)))
@@ -1008,8 +1012,8 @@ def _remarks(found: ValveFit, zero: Estimate) -> Iterator[str]:
     for edge, opening in found.openings.items():
         if not opening.reached:
             yield (
-                f"{edge}: no flow was measured above {opening.command[-1]:.3g} V, so the area at "
-                f"{c.full_command:.3g} V is open. Hold the full command twice in such an experiment."
+                f"{edge}: no flow was measured above {opening.command[-2]:.3g} V, so the area at "
+                f"{c.full_command:.3g} V is extrapolated. Hold the full command twice in such an experiment."
             )
     edges = found.openings
     if len(edges) < 2:

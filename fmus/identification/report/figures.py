@@ -98,9 +98,10 @@ def opening_panel(listed: Sequence[Estimate]) -> Panel | None:
             table = tuple((command.value, e.value, e.low, e.high) for command, e in points)
             tables.setdefault(table, []).append("-".join(stem.rpartition("_")[2].upper()))
     curves = [
-        Curve(", ".join(edges), x, y, "compared", line=True, error=np.array([y - low, high - y]))
+        Curve(", ".join(edges), x, y, "compared", line=True, error=np.array([y - low, up]))
         for table, edges in tables.items()
         for x, y, low, high in [np.array(table).T]
+        for up in [np.where(np.isfinite(high), high - y, 0.0)]  # an open end has no bar
     ]
     return (
         Panel("command [V]", "opening", tuple(curves), "Tables with 95 % intervals of their points")
