@@ -578,7 +578,8 @@ class ValveFit:
         for measured, a, s in zip(nodes.area[inside], rising, sd, strict=True):
             e = self._drifting(Estimate.normal("", float(measured), "m2", float(s), ""))
             areas.append(replace(e, value=float(a), low=min(e.low, float(a)), high=max(e.high, float(a))))
-        shut = [x for x in np.unique(np.round(steps.command[steps.closed], 2)) if x < v[0]]
+        # a meter in its dead zone does not tell that the edge is closed
+        shut = np.unique(np.round(steps.command[steps.closed & ~steps.dead & (steps.command < v[0])], 2))
         low = float(shut[-2]) if len(shut) > 1 else 0.0
         value = min(max(nodes.start(), low), float(v[0]) - SHARP)
         start = Estimate("", value, "V", float(v[0] - low) / 12**0.5, low, float(v[0]), "")
