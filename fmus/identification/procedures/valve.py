@@ -906,11 +906,10 @@ def _estimates(found: ValveFit) -> Iterator[Estimate]:
     if found.common:
         yield from _of(found.widest, "", f"fit of {np.count_nonzero(found.steps.good)} steps")
         return
+    area, *_ = _of(found.widest, "", "largest of all edges")
     start = min((opening.start for opening in found.openings.values()), key=lambda start: start.value)
-    note = "the tables of the edges replace it"
-    yield from _of(
-        replace(found.widest, start=replace(start, note=note), rounding=None), "", "largest of all edges"
-    )
+    note = "first start of an opening; the tables of the edges replace it"
+    yield from (area, replace(start, name="valve_dead_band", note=note))
 
 
 def _of(opening: Opening, suffix: str, note: str) -> Iterator[Estimate]:
