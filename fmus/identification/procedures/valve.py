@@ -518,11 +518,6 @@ class ValveFit:
         """The fit whose zeros and residuals are those of the procedure."""
         return self.straight.solution if self.straight else self.by_nodes
 
-    @property
-    def drift(self) -> float:
-        """Largest relative change of the areas: the machine may be as warm as the oil was at either end."""
-        return abs(self.effects["drift"][0]) if "drift" in self.freed else 0.0
-
     @cached_property
     def corrected(self) -> ValveSteps:
         """The steps without the zero of the pressures, at the commands that they would have without a lag."""
@@ -595,7 +590,8 @@ class ValveFit:
         return np.append(v, full), [*areas, replace(last, value=value, high=math.inf)]
 
     def _drifting(self, e: Estimate) -> Estimate:
-        change = self.drift * e.value
+        """With an interval that covers a drift: the machine may be as warm as the oil was at either end."""
+        change = abs(self.effects["drift"][0]) * e.value if "drift" in self.freed else 0.0
         return replace(e, low=e.low - change, high=e.high + change)
 
 
