@@ -558,7 +558,7 @@ class ValveFit:
             note = f"rounding {known:.3g} V as known; the interval is that of any rounding"
             start = replace(start, note=note)
         rounding = None if assumed else lines.rounding
-        return Opening(*self._to_full(volts, [at(v) for v in volts]), start, rounding, at)
+        return Opening(*self._to_full(volts, [at(float(v)) for v in volts]), start, rounding, at)
 
     def _free(self, edge: str) -> Opening:
         """The opening with free areas.
@@ -662,7 +662,7 @@ class Opening:
     def drawn(self, command: Array) -> Array:
         """Areas [m2] as the machine has them, at commands (n,)."""
         if self.line:
-            return np.array([self.line(v).value for v in command])
+            return np.array([self.line(float(v)).value for v in command])
         return self.through(self.table, command)
 
 

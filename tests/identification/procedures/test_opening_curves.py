@@ -326,6 +326,9 @@ def test_the_area_at_a_command_that_was_not_reached_is_open(monkeypatch, share):
     result = found(share, 9)
     area = named(result)["valve_area"]
     assert area.high == np.inf
+    # they are written to files, where NumPy's numbers have another form
+    numbers = [x for e in (*result.estimates, *result.listed) for x in (e.value, e.sd, e.low, e.high)]
+    assert {type(x) for x in numbers} == {float}
     assert area.low <= bench.AREA * share(np.array([6.0]))[0]
     assert any("no flow was measured above 6 V" in remark for remark in result.remarks)
     # where the last chord of 0.5 V leads in 4 V: its noise is eight times that of the areas, 0.02 % each
