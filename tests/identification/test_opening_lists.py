@@ -49,7 +49,7 @@ def _write(path: Path, recording) -> None:
     write_description(path.with_suffix(".toml"), described)
 
 
-def test_file_and_report_have_lists_with_their_bands(identified):
+def test_file_and_report_have_lists_with_their_intervals(identified):
     """All four edges, with both ends of the intervals in the JSON file, drawn on the page; exit status 0."""
     status, out = identified
     assert status == 0
@@ -66,7 +66,9 @@ def test_file_and_report_have_lists_with_their_bands(identified):
     openings = [e for e in told["results"][0]["listed"] if e["unit"] == "1" and e["sd"]]
     assert len(openings) >= 12
     assert all(e["low"] < e["value"] < e["high"] for e in openings)
-    assert "Tables with their 95 % bands" in (out.parent / "identification.html").read_text(encoding="utf-8")
+    assert "Tables with 95 % intervals of their points" in (out.parent / "identification.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_a_straight_line_empties_the_tables_of_before():
