@@ -14,8 +14,7 @@ from typing import Any
 
 from orchestrator.base.processes import machine_memory
 from orchestrator.fmi.description import ModelDescription
-from orchestrator.worker.pool import Pool
-from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
+from orchestrator.worker.process import LimitExceeded, Pool, Worker, WorkerLimits
 
 TARGET = "orchestrator.check.tasks.runner:main"
 ELSEWHERE = "time_and_state:elsewhere"  # needs a process with other addresses

@@ -25,8 +25,7 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
-from orchestrator.worker.pool import Pool
-from orchestrator.worker.process import GARBLED, LimitExceeded, Worker, read_file
+from orchestrator.worker.process import GARBLED, LimitExceeded, Pool, Worker, read_file
 
 if TYPE_CHECKING:
     from orchestrator.data.trace_writer import Array, Points, RowLayout, TraceSink
