@@ -118,8 +118,9 @@ def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> Join
     nothing = dict.fromkeys(OF_JOINT[j.kind], 0)
 
     def of(p: Any) -> Any:
-        """Its parameters, 0 where it has none."""
-        return SimpleNamespace(**{**nothing, **{n: getattr(getattr(p, j.name), n) for n in own}})
+        """Its parameters, 0 where it has none; a controller has the geometry only."""
+        given = vars(getattr(p, j.name))
+        return SimpleNamespace(**{**nothing, **{n: given[n] for n in own if n in given}})
 
     def link(p: Any) -> Link:
         o = of(p)
