@@ -90,7 +90,7 @@ def _group(
         found = _geometry(j, GEOMETRY)
         if j not in joints:
             groups[j.name] = make_group("Joint", found)
-        elif j.drive == "motor":
+        elif j.motor:
             line = (motor.VolumeLine, "{} line")
             groups[j.name] = make_group("Motor", found, motor.MotorSize, line=line, valve=Valve)
         else:
@@ -114,7 +114,7 @@ def _axis(joint: JointDescription) -> ControlledAxis:
     """A driven joint."""
     name, kind, lever = joint.name, str(joint.kind), cylinder.SENSE
     angle, speed = f"Coordinate of the {name} joint", f"Speed of the {name} joint"
-    if joint.drive == "motor":
+    if joint.motor:
         kind, lever = "column", motor.SENSE
         angle, speed = (f"{n} of the {name}, {COUNTER}" for n in ("Angle", "Speed"))
     return ControlledAxis(name, kind, lever, (joint.coordinate, angle), (f"{name}_speed", speed))
@@ -155,7 +155,7 @@ def _unloaded(crane: CraneDescription, joint: JointDescription) -> float:
     pressure, density = crane.numbers["supply"]["pressure_setting"], crane.numbers["oil"]["density"]
     root = values(BOOM_STICK).p["valve_discharge_coefficient"] * joint["valve_area"]
     root *= math.sqrt(2 * pressure.value / density.value)
-    if joint.drive == "motor":
+    if joint.motor:
         return root / math.sqrt(2) / (joint["motor_displacement"] * joint["gear_ratio"])
     head, rod = map(float, areas(joint["bore"], joint["rod"]))
     return root * math.sqrt(rod / (head**3 + rod**3))

@@ -93,7 +93,7 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     with suppress(Problem):  # the arm is none that a controller knows
         moved = controlled(crane)
     if moved:
-        levers = {j.name: (motor.SENSE if j.drive == "motor" else cylinder.SENSE, j.part) for j in moved}
+        levers = {j.name: (motor.SENSE if j.motor else cylinder.SENSE, j.part) for j in moved}
         head = actuation(levers, conditions=faults)
         machine = replace(machine, controller=controller(crane, machine), actuation=head)
     return with_faults(machine) if faults else machine
@@ -134,7 +134,7 @@ def drives(
     """The hydraulics of some joints."""
     axes = list[Axis]()
     for j in joints:
-        is_motor = j.drive == "motor"
+        is_motor = j.motor
         kind, moved = (MOTOR, motor.HeldInputs) if is_motor else (CYLINDER, cylinder.Inputs)
         added = (MOTOR_ADDITIONS if is_motor else CYLINDER_ADDITIONS) if faults else ()
         known = {**ADDITIONS, **({} if variant in OIL_COLUMNS else {"cushion": CushionWithoutColumn})}
@@ -152,7 +152,7 @@ def drives(
     declared, found = quantities(sub.parameters), dict[str, Number]()
     names = nested(sub.parameters, {n: n for n in declared})
     for j in joints:  # default: the number at the same place in the paper's swing or boom, or in their valve
-        shipped, axis = (of_swing, swing.AXES) if j.drive == "motor" else (of_arm, boom_stick.AXES)
+        shipped, axis = (of_swing, swing.AXES) if j.motor else (of_arm, boom_stick.AXES)
         known = nested(shipped.parameters, numbers(shipped)["parameters"])
         like = vars(getattr(known, axis[0].name)) | {n: getattr(known, n) for n in of_variant.of_valve("")}
         for full, default in _alike(getattr(names, j.name), like):
@@ -222,7 +222,7 @@ def _sized(
         flow = joint["valve_area"] * jet * math.sqrt(common["compensator_setting"].value)
         note = "of hydraulics.valve at compensator_setting"
     found |= {n: _derived(flow, "m3/s", note) for n in ("section_flow", "rod_section_flow")}
-    if joint.drive == "motor":
+    if joint.motor:
         turn = joint["motor_displacement"] * joint["gear_ratio"]
         torque, speed = turn * pressure, flow / turn
         area, text = flow / (jet * math.sqrt(28e5)), "28 bar at full command, as of the paper's swing"
