@@ -9,13 +9,12 @@ import numpy as np
 
 from fmus.identification.machine import FREE
 from fmus.identification.pipeline import Identified, identify
-from fmus.identification.recordings.clock import downsample, resample_uniformly
+from fmus.identification.recordings.quality import prepared
 from fmus.identification.recordings.reading import MACHINE, doubtful, read_folder, unused_files
 from fmus.identification.report.identification_page import (
     extrapolation_text,
     faults,
     page_content,
-    quality,
     write_page,
 )
 from fmus.identification.report.prediction import RecordingComparison, extrapolated, prediction
@@ -48,20 +47,13 @@ def run(
         raise Problem(f"--out {out}: expected a file that ends in .toml")
     start_time = perf_counter()
     recordings = read_folder(folder)
-    qualities, suspect = [quality(r) for r in recordings], doubtful(recordings)
+    suspect = doubtful(recordings)
     _print_size(folder, recordings, joint)
+    recordings, qualities = map(list, zip(*map(prepared, recordings), strict=True))
     doubts = (f"warning: {sentence}" for sentence in suspect)
     for line in (*faults(qualities), *unused_files(folder, recordings), *doubts):
         print(f"  {line}")
-    recordings = [resample_uniformly(r) for r in recordings]
-    recordings = [downsample(r) if r.procedure == MACHINE else r for r in recordings]
-    identified = identify(
-        recordings,
-        joint=joint,
-        names=names,
-        report=print,
-        activity=doing,
-    )
+    identified = identify(recordings, joint=joint, names=names, report=print, activity=doing)
     _write_parameters(out, identified)
     with doing("simulating what the model predicts, and the effects that it lacks"):
         comparison = prediction(identified)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.identification.recordings.masks import noise, step
+from fmus.identification.recordings.masks import faults, noise, step, zeros_of_dead_zone
 from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.reading import (
     CHOICES,
@@ -122,12 +122,13 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     sensors = _sensors(procedure)
     dimensions, proposed = {parse_unit(unit).exponents for unit in sensors}, set[str]()
     lines = list[str]()
-    for signal in quality.signals:
-        column, unit = signal.name, units[signal.name]
+    for signal in quality.channels:
+        column, unit = signal.signal, units[signal.signal]
         finite = columns.values[column][np.isfinite(columns.values[column])]
         extent = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size else "no number"
-        faults = [f"{cause} {100 * share:.2g} %" for cause, (share, _) in signal.unused.items() if share]
-        found = ", ".join([*faults, *["constant"] * (signal.low == signal.high)])
+        unused = faults(recording, column)
+        causes = [f"{cause} {100 * mask.mean():.2g} %" for cause, mask in unused.items() if mask.any()]
+        found = ", ".join([*causes, *["constant"] * (signal.low == signal.high)])
         names, may_be = ([column], "") if column in of_run else _candidates(column, unit, sensors)
         name = next((n for n in names if n not in proposed), "NAME")
         proposed.add(name)
@@ -139,8 +140,9 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         keys += f', group = "{group}"' * bool(group)
         factor = parse_unit(unit).factor
         # finer steps are digits of the file
-        shown_keys = {"dead_zone": signal.zone, "noise": signal.noise, "resolution": signal.step}
-        shown_keys["resolution"] *= signal.step > signal.noise / 10
+        step_shown = shown[column].resolution * (shown[column].resolution > signal.noise / 10)
+        zone = zeros_of_dead_zone(values[column], shown[column])
+        shown_keys = {"dead_zone": zone, "noise": signal.noise, "resolution": step_shown}
         instrument = ", ".join(f"{k} = {v / factor:.3g}" for k, v in shown_keys.items() if v > 0)
         lines.append(
             f"# {about}\n{'# ' * bool(may_be or name == 'NAME')}{_text(name)} = {{ {keys} }}"
