@@ -75,7 +75,6 @@ class Quality:
 
     duration   from the first to the last sample [s]
     rate       samples per second, missing samples included [Hz]
-    jitter     standard deviation of a time stamp from a clock with constant drift [s]
     clock      a sentence for each fault of the clock
     notes      sentences on what is no fault: samples in dead zones, and constant signals
     """
@@ -87,7 +86,6 @@ class Quality:
     kind: str
     duration: float
     rate: float
-    jitter: float
     clock: list[str]
     channels: list[SignalQuality]
     notes: list[str]
@@ -196,8 +194,8 @@ def _unused(mask: Mask, time: Array) -> str:
     return f"{samples} ({share}; {several}{first}, longest {longest:.3g} s)"
 
 
-def _clock(recording: Recording) -> tuple[float, float, list[str]]:
-    """Rate, jitter and faults of a clock."""
+def _clock(recording: Recording) -> tuple[float, list[str]]:
+    """Rate and faults of a clock."""
     time = recording.time
     usual, intervals, steps = period(time), np.diff(time), sample_steps(time)
     rate = float(np.sum(steps) / (time[-1] - time[0]))
@@ -223,7 +221,7 @@ def _clock(recording: Recording) -> tuple[float, float, list[str]]:
         f"the interval changes by {100 * drift:.2g} % from start to end, which is {off}.": bow * rate > BOW,
         f"{rows}, first at {repeated[:1].sum():.6g} s.": repeated.size,
     }
-    return rate, jitter, [f"The clock: {sentence}" for sentence, true in tests.items() if true]
+    return rate, [f"The clock: {sentence}" for sentence, true in tests.items() if true]
 
 
 def _drift(time: Array, steps: NDArray[np.int64]) -> tuple[float, float, float]:

@@ -35,7 +35,7 @@ def write_page(folder: Path, page: Mapping[str, Any]) -> tuple[Path, Path]:
     """
     results = [{n: value for n, value in vars(r).items() if n != "panels"} for r in page["results"]]
     qualities = [
-        {n: value for n, value in vars(q).items() if n not in ("clock", "jitter", "notes")}
+        {n: value for n, value in vars(q).items() if n not in ("clock", "notes")}
         | {"remarks": q.clock, "faults": len(q.faults())}
         for q in page["qualities"]
     ]
@@ -152,9 +152,8 @@ def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str,
     """Commands that use the estimates -> their purpose."""
     commands = {f"harvester build --parameters {out}": "FMUs with these parameters"}
     for recording in identified.of_machine("test")[:1]:
-        lines = [n for n in ("supply", "tank") if f"swing.{n}_pressure" in recording.signals]
-        play = "".join(f' --play "*.{line}_pressure"' for line in lines)
-        command = f"harvester validate --reference {folder / recording.source.name}{play}"
+        played = [f' --play "*.{n}"' for n in prediction.LINES if f"swing.{n}" in recording.signals]
+        command = f"harvester validate --reference {folder / recording.source.name}{''.join(played)}"
         commands[command] = "Validation of these FMUs against the held-out recording"
     return commands
 

@@ -65,7 +65,7 @@ def channel(signal: str, unit: str, *remarks: str, dead: float = 0.0) -> SignalQ
 def quality(name: str, channels: tuple[SignalQuality, ...], *clock: str) -> Quality:
     """Data quality of a recording."""
     about = "A", "machine", "test", "simulation"
-    return Quality(name, *about, 42.0, 200.0, 0.0, list(clock), list(channels), [])
+    return Quality(name, *about, 42.0, 200.0, list(clock), list(channels), [])
 
 
 def page(**more: object) -> dict[str, object]:
