@@ -108,12 +108,11 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         raise Problem(unread[0])
     units = {name: _unit(columns, name) for name in columns.values}
     time, units[time] = _time(columns, units)
-    values = {n: convert(v, u := units[n], si_unit(u), n) for n, v in columns.values.items()}
-    in_si = {name: si_unit(unit) for name, unit in units.items()}
+    recorded = [name for name in columns.values if name not in (time, *columns.moments)]
+    in_si = {name: si_unit(units[name]) for name in recorded}
+    values = {n: convert(columns.values[n], units[n], unit, n) for n, unit in in_si.items()}
     # noise and resolution as the samples show them, so that only faults are remarked on
     shown = {n: Sensor(noise=float(np.nan_to_num(noise(v))), resolution=step(v)) for n, v in values.items()}
-    for name in {time, *columns.moments}:
-        del values[name]
     seconds = time_axis(columns, time, units[time])
     every = float(np.median(np.diff(seconds))) if seconds.size > 1 else 0.0
     logged = {n: [*log_faults(columns.values[n], SignalDescription(units[n]), every)] for n in values}
@@ -161,19 +160,11 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     head = HEAD.format(formats, _text(time), _text(units[time]), experiment, "\n".join(limits))
     write_whole(out, "\n".join([head, *lines]))
     use = f"harvester identify {out.parent}" if procedure else f"harvester validate --reference {data}"
-    after = f"{out}: written; fill in the names of the signals, then: {use}"
-    columns_found = [line.partition("\n")[0].removeprefix("# ") for line in lines]
-    about = f"{data}: {len(columns.rows)} rows at {quality.rate:.6g} Hz, time in {time!r} [{units[time]}]"
-    return "\n".join(
-        [
-            about,
-            *columns_found,
-            *(f"{fault}; left out" for fault in unread),
-            *quality.remarks(),
-            *recording.log_faults(),
-            after,
-        ]
-    )
+    told = [f"{data}: {len(columns.rows)} rows at {quality.rate:.6g} Hz, time in {time!r} [{units[time]}]"]
+    told += [line.partition("\n")[0].removeprefix("# ") for line in lines]
+    told += [f"{fault}; left out" for fault in unread]
+    told += [*quality.remarks(), *recording.log_faults()]
+    return "\n".join([*told, f"{out}: written; fill in the names of the signals, then: {use}"])
 
 
 def _text(text: str | int) -> str:

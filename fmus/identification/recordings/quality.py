@@ -35,7 +35,6 @@ PLAUSIBLE: Mapping[str, tuple[float, float]] = {
     "rad/s": (0.0, 20.0),
 }
 PLAUSIBLE_RATES = (10.0, 1e5)  # Hz, of a logger that records the motion of a valve
-LOUD = 2.0  # a remark from this ratio of noise to stated noise on
 COARSE, FINE = 1.5, 0.67  # a remark outside these ratios of step to stated resolution
 FINEST_STATED = 1e-4  # fraction of a signal's range; finer steps, such as digits of a file, need no statement
 LOOSE = 0.1  # periods of white jitter, from which a lost sample may not be seen, which moves all later ones
@@ -151,8 +150,7 @@ def _signal(recording: Recording, name: str, notes: list[str], constant: list[st
     implausible = largest > masks.AT_ZERO * sensor.sd and not least <= largest <= most
     limits = f"{show(least)} to {show(most)}" if least else f"up to {show(most)}"
     extremes = f"from {show(low)} to {show(high)}"
-    # a slow signal rounded to steps looks like noise of up to half a step
-    stated, known = math.hypot(sensor.noise, sensor.resolution / 2), sensor.resolution
+    (louder, quieter), known = masks.misstated(sensor, seen, moving), sensor.resolution
     weight = f"{show(moving)}: the weight of the signal is too small"
     visible = seen > 0 and step > FINEST_STATED * (high - low)
     steps, resolution = f"steps of {show(step)}", f"the stated resolution, {show(known)}"
@@ -164,10 +162,8 @@ def _signal(recording: Recording, name: str, notes: list[str], constant: list[st
         f"reads 0 or at least {show(zone)}: a meter's dead zone? dead_zone states it.": zone,
         f"{stuck} stuck at one value, without the noise of the sensor; not used.": stuck,
         f"{extremes}, expected a largest magnitude of {limits}: is its unit right?": implausible,
-        f"noise of {show(seen)}, stated {noise}.": seen > LOUD * stated > 0,
-        f"stated noise of {noise}, much larger than that of the samples, {weight}.": masks.overstated(
-            sensor, moving
-        ),
+        f"noise of {show(seen)}, stated {noise}.": louder > 1,
+        f"stated noise of {noise}, much larger than that of the samples, {weight}.": quieter > 1,
         f"{steps}, coarser than {resolution}.": step > COARSE * known > 0,
         f"{steps}, finer than {resolution}.": 0 < step < FINE * known,
         f"{steps} without a stated resolution.": known == 0 and visible,

@@ -226,9 +226,9 @@ class Extrapolation:
     reached: float
 
     def __str__(self) -> str:
-        shown, unit = display_unit(self.unit), self.unit if self.unit != "1" else ""
+        shown = display_unit(self.unit)
         low, high, reached = (f"{shown.factor * v:.3g}" for v in (*self.training, self.reached))
-        unit = shown.name or unit
+        unit = shown.name
         trained = f"{low} to {high} {unit}" if self.training != (0.0, 0.0) else "no value of this sign"
         return f"{self.signal} is {reached} {unit}, in training {trained}"
 
