@@ -12,12 +12,11 @@ from fmus.identification.pipeline import Identified, identify
 from fmus.identification.recordings.quality import prepared
 from fmus.identification.recordings.reading import MACHINE, doubtful, read_folder, unused_files
 from fmus.identification.report.identification_page import (
-    extrapolation_text,
     faults,
     page_content,
     write_page,
 )
-from fmus.identification.report.prediction import RecordingComparison, extrapolated, prediction
+from fmus.identification.report.prediction import RecordingComparison, prediction
 from fmus.parameters import write
 from orchestrator.base.errors import Problem
 from orchestrator.base.progress import doing
@@ -63,8 +62,8 @@ def run(
     if contents["explanation"]:
         print(contents["explanation"].verdict)
     contradicted = [_placed(f["procedure"], f["sentence"]) for f in contents["findings"] if f["named"]]
-    outside = map(extrapolation_text, extrapolated(identified))
-    for sentence in (*outside, *contents["warnings"], *contradicted):
+    outside = contents["prediction"]["extrapolated"] if comparison else ()
+    for sentence in (*(found.doubt() for found in outside), *contents["warnings"], *contradicted):
         print(f"warning: {sentence}")
     status = DOUBTFUL if suspect or contents["warnings"] else CONTRADICTED if contradicted else 0
     contents["warnings"] = [*suspect, *contents["warnings"], *contradicted]

@@ -107,7 +107,7 @@ def page_content(
         "remarks": [
             *([f"No recording of {', '.join(missing)}."] if missing else ()),
             *(f"{sentence}." for sentence in (sensor_sentences(refined) if refined else ())),
-            *map(extrapolation_text, outside),
+            *(found.doubt() for found in outside),
         ],
         "findings": [{"procedure": name, **vars(f), "named": f in shown} for name, f in tests],
         "prediction": comparison
@@ -116,19 +116,13 @@ def page_content(
             "use": comparison.recording.use,
             "nrmse": comparison.nrmse(),
             "held": comparison.held(),
-            "extrapolated": [{"recording": file, **vars(found)} for file, found in outside],
+            "extrapolated": outside,
         },
         "warnings": [
             *(f"{name}: {why}." for name, why in identified.skipped.items() if why != NO_RECORDING),
             *(report_texts.warnings(refined) if refined else ()),
         ],
     }
-
-
-def extrapolation_text(outside: tuple[str, prediction.Extrapolation]) -> str:
-    """A sentence on an input outside its range in training: the prediction is doubtful, not the estimates."""
-    file, found = outside
-    return f"{file}: {found}: its prediction is an extrapolation, which the bands do not cover."
 
 
 def _joints(comparison: prediction.RecordingComparison) -> Iterator[tuple[str, Any, str]]:
