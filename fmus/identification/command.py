@@ -11,11 +11,7 @@ from fmus.identification.machine import FREE
 from fmus.identification.pipeline import Identified, identify
 from fmus.identification.recordings.quality import prepared
 from fmus.identification.recordings.reading import MACHINE, doubtful, read_folder, unused_files
-from fmus.identification.report.identification_page import (
-    faults,
-    page_content,
-    write_page,
-)
+from fmus.identification.report.identification_page import faults, page_content, write_page
 from fmus.identification.report.prediction import RecordingComparison, prediction
 from fmus.parameters import write
 from orchestrator.base.errors import Problem
@@ -25,14 +21,7 @@ from orchestrator.data.recording import Recording
 DOUBTFUL, CONTRADICTED = 1, 3  # exit statuses: 2 is a mistake of the user
 
 
-def run(
-    folder: Path,
-    out: Path,
-    page: Path,
-    *,
-    joint: bool = True,
-    names: Sequence[str] = FREE,
-) -> int:
+def run(folder: Path, out: Path, page: Path, *, joint: bool = True, names: Sequence[str] = FREE) -> int:
     """Read the recordings, identify, write parameters and report; prints the progress.
 
     Returns the exit status: 0 without a warning, `DOUBTFUL`, or `CONTRADICTED` if all warnings are findings.

@@ -19,12 +19,7 @@ from fmus.identification.procedures.weighing import WEIGHING
 from fmus.identification.recording_names import check_names, check_units
 from fmus.identification.recordings.reading import MACHINE
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
-from fmus.identification.refinement.refine import (
-    RefinementResult,
-    advice,
-    compiled,
-    refine,
-)
+from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
 from fmus.identification.results import Estimate, Finding, ProcedureResult
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem

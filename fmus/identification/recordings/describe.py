@@ -33,14 +33,7 @@ from orchestrator.base.units import COMMON, convert, is_unit, parse_unit, si_uni
 from orchestrator.data.corrections import log_faults
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.recording import Recording, Sensor
-from orchestrator.data.table import (
-    Columns,
-    TextFormat,
-    clock,
-    is_in_days,
-    read_columns,
-    time_axis,
-)
+from orchestrator.data.table import Columns, TextFormat, clock, is_in_days, read_columns, time_axis
 from orchestrator.data.trace import units_of_run
 
 # SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
