@@ -139,9 +139,9 @@ def misstated(sensor: Sensor, seen: float, most: float) -> tuple[float, float]:
 
     seen, most   noise of all samples, and the most that they may have, such as those that are not at rest
     """
-    louder = seen / (KNOWN * sensor.sd) if sensor.sd > 0 else 0.0
-    most = math.hypot(most, sensor.resolution / 2)
-    return louder, sensor.noise / (OVERSTATED * most) if most else math.inf * (sensor.noise > 0)
+    stated, most = (math.hypot(sd, sensor.resolution / 2) for sd in (sensor.noise, most))
+    louder = seen / (KNOWN * stated) if stated else 0.0
+    return louder, sensor.noise / (OVERSTATED * most) if most else math.inf if sensor.noise else 0.0
 
 
 def _long_runs(values: Array, sensor: Sensor) -> Mask:

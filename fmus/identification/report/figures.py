@@ -363,7 +363,7 @@ def draw_correlation(names: Sequence[str], correlation: Array) -> Figure:
     figure = new_figure(min(size + 1.0, 11), min(size, 10.4))
     axes = figure.add_subplot()
     lower = np.where(np.tri(count - 1, dtype=bool), correlation[1:, :-1], np.nan)
-    grid = {"edgecolor": PALETTE.grid, "linewidth": 0.6}
+    grid: dict[str, Any] = {"edgecolor": PALETTE.grid, "linewidth": 0.6}
     image = axes.pcolor(np.ma.masked_invalid(lower), cmap="RdBu_r", vmin=-1, vmax=1, **grid)
     for (y, x), r in np.ndenumerate(lower):
         if abs(r) >= LARGE_CORRELATION:
