@@ -28,8 +28,7 @@ from orchestrator.data.recording import Recording
 
 # zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper weighs nothing
 PROCEDURES: Mapping[str, Procedure] = {
-    p.name: p
-    for p in (*(rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, DAMPING, WEIGHING),)
+    p.name: p for p in (rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, DAMPING, WEIGHING)
 }
 NO_RECORDING = "no recording"
 DEAD_BAND = "valve_dead_band"
