@@ -23,7 +23,7 @@ from fmus.identification.report.figures import draw_procedure, joint_figure
 from fmus.identification.report.prediction import WINDOW, RecordingComparison, default_values, prediction
 from fmus.identification.results import Estimate, ProcedureResult
 from fmus.rig import write_all
-from orchestrator.base.text import TextTable, typeset
+from orchestrator.base.text import TextTable, display_unit, typeset
 from orchestrator.pages import plotting
 from orchestrator.pages.plotting import png
 
@@ -116,7 +116,7 @@ def estimates(found: Iterable[Estimate]) -> str:
 
 def value(e: Estimate) -> tuple[str, str, str]:
     """Value, interval and unit as they are shown."""
-    return report_texts.value(e), report_texts.interval(e), report_texts.unit(e.unit)
+    return report_texts.value(e), report_texts.interval(e), display_unit(e.unit).name
 
 
 def returned(found: Identified) -> str:
@@ -126,7 +126,7 @@ def returned(found: Identified) -> str:
         for e in result.estimates:
             truth = lookup(e.name, nominal()).value
             holds = "yes" if e.low <= truth <= e.high else "no"
-            shown = report_texts.number(report_texts.in_unit(truth, e.unit), 4)
+            shown = report_texts.number(truth, 4, e.unit)
             rows.append((f"`{e.name}`", shown, *value(e), report_texts.change(e.value, truth), holds))
     head = ("parameter", "rig", "identified", "95 % interval", "unit", "off by", "interval contains it")
     return table(head, rows)
@@ -153,7 +153,7 @@ def refined(found: Identified) -> str:
     rows = []
     for name, (e, procedure) in found.estimates.items():
         if procedure == MACHINE:
-            before = report_texts.number(report_texts.in_unit(lookup(name, nominal()).value, e.unit), 4)
+            before = report_texts.number(lookup(name, nominal()).value, 4, e.unit)
             rows.append((f"`{name}`", before, *value(e)))
     return table(("parameter", "in the model", "identified", "95 % interval", "unit"), rows)
 

@@ -141,20 +141,19 @@ def mathml(latex: str, display: bool = False, file: str = "") -> str:
 
     latex2mathml knows neither `aligned` nor that \\lvert and \\rvert are a pair.
     """
+    where = f"{file}: formula {latex.strip()}"
     text = re.sub(r"\\(begin|end)\{aligned\}", r"\\\1{align*}", latex)
     text = re.sub(r"(?<!left)(?<!right)\\([lr])(vert|angle)\b", lambda m: f"\\{SIDES[m[1]]}{m[0]}", text)
     try:
         made = convert(text, display="block" if display else "inline")
     except Exception as error:  # of many classes, most without a message
         reason = str(error) or type(error).__name__
-        raise Problem(f"{file}: formula {latex.strip()}: expected LaTeX, {reason}") from None
+        raise Problem(f"{where}: expected LaTeX, {reason}") from None
     if unknown := _NOT_CONVERTED.search(made):
-        raise Problem(f"{file}: formula {latex.strip()}: expected commands of LaTeX, found {unknown[0]}")
+        raise Problem(f"{where}: expected commands of LaTeX, found {unknown[0]}")
     for element in etree.fromstring(made).iter():
         if len(element) != ARITY.get(etree.QName(element).localname, len(element)):
-            raise Problem(
-                f"{file}: formula {latex.strip()}: expected LaTeX, found a command without an argument"
-            )
+            raise Problem(f"{where}: expected LaTeX, found a command without an argument")
     return _FUNCTION.sub(_spaced, made)
 
 
@@ -224,16 +223,16 @@ def _list_row(group: Sequence[Variable], rows: Mapping[str, Row]) -> Row:
 
 def _remarks(v: Variable) -> Iterable[str]:
     """Remarks that follow the description of a variable."""
+    q = v.quantity
     if v.kind == "TUNABLE":
         yield "tunable"
-    if v.quantity.rate:
-        yield f"changes at the rate {v.quantity.rate} inside a step"
-    if v.quantity.optional:
-        yield f"without it {v.quantity.optional}"
-    for where, limit in (("above", v.quantity.warn_above), ("below", v.quantity.warn_below)):
+    if q.rate:
+        yield f"changes at the rate {q.rate} inside a step"
+    if q.optional:
+        yield f"without it {q.optional}"
+    for where, limit in (("above", q.warn_above), ("below", q.warn_below)):
         if limit is not None:
-            meaning = f": {v.quantity.meaning}" if v.quantity.meaning else ""
-            yield f"warning {where} {printed(limit)} {pretty(v.quantity.unit)}{meaning}"
+            yield f"warning {where} {printed(limit)} {pretty(q.unit)}{': ' * bool(q.meaning)}{q.meaning}"
 
 
 def _bounds(low: float | None, high: float | None) -> str:
@@ -250,10 +249,10 @@ def printed(value: float) -> str:
 def _ports(sub: Subsystem, rows: Mapping[str, Row]) -> list[dict[str, Any]]:
     """Inputs and outputs by terminal, then those without a terminal."""
     ports = {name: row for name, row in rows.items() if row["direction"]}
-    groups = []
-    for terminal in sub.terminals:
-        members = [ports.pop(m.variable) for m in terminal.members if m.variable in ports]
-        groups.append(_group(terminal.text, members, terminal.name))
+    groups = [
+        _group(t.text, [ports.pop(m.variable) for m in t.members if m.variable in ports], t.name)
+        for t in sub.terminals
+    ]
     for direction, title in (("in", "Other inputs"), ("out", "Other outputs")):
         groups.append(_group(title, [row for row in ports.values() if row["direction"] == direction]))
     return [group for group in groups if group["members"]]

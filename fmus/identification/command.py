@@ -9,16 +9,10 @@ import numpy as np
 
 from fmus.identification.machine import FREE
 from fmus.identification.pipeline import Identified, identify
-from fmus.identification.recordings.clock import downsample, resample_uniformly
+from fmus.identification.recordings.quality import prepared
 from fmus.identification.recordings.reading import MACHINE, doubtful, read_folder, unused_files
-from fmus.identification.report.identification_page import (
-    extrapolation_text,
-    faults,
-    page_content,
-    quality,
-    write_page,
-)
-from fmus.identification.report.prediction import RecordingComparison, extrapolated, prediction
+from fmus.identification.report.identification_page import faults, page_content, write_page
+from fmus.identification.report.prediction import RecordingComparison, prediction
 from fmus.parameters import write
 from orchestrator.base.errors import Problem
 from orchestrator.base.progress import doing
@@ -27,14 +21,7 @@ from orchestrator.data.recording import Recording
 DOUBTFUL, CONTRADICTED = 1, 3  # exit statuses: 2 is a mistake of the user
 
 
-def run(
-    folder: Path,
-    out: Path,
-    page: Path,
-    *,
-    joint: bool = True,
-    names: Sequence[str] = FREE,
-) -> int:
+def run(folder: Path, out: Path, page: Path, *, joint: bool = True, names: Sequence[str] = FREE) -> int:
     """Read the recordings, identify, write parameters and report; prints the progress.
 
     Returns the exit status: 0 without a warning, `DOUBTFUL`, or `CONTRADICTED` if all warnings are findings.
@@ -48,20 +35,13 @@ def run(
         raise Problem(f"--out {out}: expected a file that ends in .toml")
     start_time = perf_counter()
     recordings = read_folder(folder)
-    qualities, suspect = [quality(r) for r in recordings], doubtful(recordings)
+    suspect = doubtful(recordings)
     _print_size(folder, recordings, joint)
+    recordings, qualities = map(list, zip(*map(prepared, recordings), strict=True))
     doubts = (f"warning: {sentence}" for sentence in suspect)
     for line in (*faults(qualities), *unused_files(folder, recordings), *doubts):
         print(f"  {line}")
-    recordings = [resample_uniformly(r) for r in recordings]
-    recordings = [downsample(r) if r.procedure == MACHINE else r for r in recordings]
-    identified = identify(
-        recordings,
-        joint=joint,
-        names=names,
-        report=print,
-        activity=doing,
-    )
+    identified = identify(recordings, joint=joint, names=names, report=print, activity=doing)
     _write_parameters(out, identified)
     with doing("simulating what the model predicts, and the effects that it lacks"):
         comparison = prediction(identified)
@@ -71,8 +51,8 @@ def run(
     if contents["explanation"]:
         print(contents["explanation"].verdict)
     contradicted = [_placed(f["procedure"], f["sentence"]) for f in contents["findings"] if f["named"]]
-    outside = map(extrapolation_text, extrapolated(identified))
-    for sentence in (*outside, *contents["warnings"], *contradicted):
+    outside = contents["prediction"]["extrapolated"] if comparison else ()
+    for sentence in (*(found.doubt() for found in outside), *contents["warnings"], *contradicted):
         print(f"warning: {sentence}")
     status = DOUBTFUL if suspect or contents["warnings"] else CONTRADICTED if contradicted else 0
     contents["warnings"] = [*suspect, *contents["warnings"], *contradicted]

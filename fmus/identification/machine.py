@@ -161,7 +161,7 @@ def problem(
     return EstimationProblem(
         sub=HARVESTER,
         outputs=outputs,
-        free=(*free, *_zeros(train, measured), *_delays(train)),
+        free=(*free, *_errors(train, measured)),
         training=tuple(map(mapping.run, train)),
         held_out=tuple(map(mapping.run, test)),
         fixed=fixed,
@@ -169,30 +169,27 @@ def problem(
     )
 
 
-def _zeros(recordings: Sequence[Recording], signals: Mapping[str, str]) -> Iterator[FreeParameter]:
-    """The zeros of the sensors that declare a `zero_error`, as free parameters.
+def _errors(recordings: Sequence[Recording], signals: Mapping[str, str]) -> Iterator[FreeParameter]:
+    """The zeros of sensors that declare a `zero_error`, the delays of inputs with a `delay_error`.
 
-    A reading is the output of the model plus this zero. An encoder that was mounted 2 degrees off makes the
+    A reading is the output of the model plus its zero. An encoder that was mounted 2 degrees off makes the
     masses wrong that carry the arm, with intervals that do not know of it. The zero is bounded by the
-    declared error, so that it cannot take the place of a force that the model lacks.
+    declared error, so that it cannot take the place of a force that the model lacks. A command of the time of
+    its request, and not of that at which the valve acts, makes capacitances, dampings and leakages wrong by
+    up to several times.
+
+    signals   measured output -> its signal
     """
-    for output, name in signals.items():
-        declared = [r.sensor(name).zero_error or 0.0 for r in recordings if name in r.signals]
-        if (most := max(declared, default=0.0)) > 0:
-            unit = quantities(HARVESTER.outputs)[output].unit
-            yield FreeParameter(zero_of(output), 0.0, unit, limit_sd(most), -most, most, scale=most)
-
-
-def _delays(recordings: Sequence[Recording]) -> Iterator[FreeParameter]:
-    """The delays of inputs that declare a `delay_error`, as free parameters within it.
-
-    A command of the time of its request, and not of that at which the valve acts, makes capacitances,
-    dampings and leakages wrong by up to several times.
-    """
-    for name in quantities(HARVESTER.inputs):
-        most = max(r.sensor(FERIC.inputs[name][0]).delay_error for r in recordings)
-        if most > 0:
-            yield FreeParameter(delay_of(name), 0.0, "s", limit_sd(most), -most, most, scale=most)
+    units = {n: q.unit for n, q in quantities(HARVESTER.outputs).items()}
+    errors = [
+        (zero_of(n), units[n], [r.sensor(s).zero_error or 0.0 for r in recordings])
+        for n, s in signals.items()
+    ]
+    for n in quantities(HARVESTER.inputs):
+        errors.append((delay_of(n), "s", [r.sensor(FERIC.inputs[n][0]).delay_error for r in recordings]))
+    for name, unit, stated in errors:
+        if (most := max(stated)) > 0:
+            yield FreeParameter(name, 0.0, unit, limit_sd(most), -most, most, scale=most)
 
 
 def _measured_outputs(training: Sequence[Recording]) -> tuple[str, ...]:

@@ -19,12 +19,7 @@ from fmus.identification.procedures.weighing import WEIGHING
 from fmus.identification.recording_names import check_names, check_units
 from fmus.identification.recordings.reading import MACHINE
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
-from fmus.identification.refinement.refine import (
-    RefinementResult,
-    advice,
-    compiled,
-    refine,
-)
+from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
 from fmus.identification.results import Estimate, Finding, ProcedureResult
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -33,8 +28,7 @@ from orchestrator.data.recording import Recording
 
 # zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper weighs nothing
 PROCEDURES: Mapping[str, Procedure] = {
-    p.name: p
-    for p in (*(rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, DAMPING, WEIGHING),)
+    p.name: p for p in (rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, DAMPING, WEIGHING)
 }
 NO_RECORDING = "no recording"
 DEAD_BAND = "valve_dead_band"

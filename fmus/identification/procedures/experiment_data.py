@@ -32,7 +32,6 @@ MARGIN, SHORTEST_CORE = 0.25, 0.25  # s cut off both ends of a steady stretch, a
 SHORTEST_STRETCH = 2 * MARGIN + SHORTEST_CORE
 SETTLING_TIME = 0.5  # s cut off the beginning of each step of the command
 SHORTEST_STEP = 0.3  # s, minimum length of the rest of a step
-NOISE_KNOWN = 2.0  # factor to which a description knows the noise of a sensor
 NOISE_ERROR = 3.0  # relative standard error of a noise estimate, times the root of the number of samples
 MIN_SAMPLES = 100  # for a test of noise
 FINEST = 1e-6  # smallest relative standard error of a mean, also of a signal without noise
@@ -108,32 +107,28 @@ def tank_pressure(recording: Recording) -> float:
 
 
 def noise_sd(recording: Recording, name: str) -> float:
-    """Standard deviation of the noise of a sample: as described for the sensor, unless the data show another.
-
-    The data decide if they show more than `NOISE_KNOWN` times the described noise, or far less of it.
-    """
-    sensor, values = recording.sensor(name), recording[name]
-    seen = masks.noise(values, sensor)
-    if not math.isfinite(seen):
-        return sensor.sd
-    if not sensor.sd or seen > NOISE_KNOWN * sensor.sd:
+    """Standard deviation of the noise of a sample: as described, unless the data show another."""
+    sensor = recording.sensor(name)
+    seen, most, louder, quieter = _noise_test(recording[name], sensor)
+    if math.isfinite(seen) and (not sensor.sd or louder > 1):
         return max(seen, sensor.resolution / math.sqrt(12))
-    most = _most_noise(values, sensor)
-    return most if sensor.sd > masks.OVERSTATED * most > 0 else sensor.sd
+    return math.hypot(most, sensor.resolution / 2) if quieter > 1 else sensor.sd
 
 
-def _most_noise(values: Array, sensor: Sensor) -> float:
-    """The noise of means of 1, 4 and 16 samples, as that of one sample; the largest, 0 if unknown.
+def _noise_test(values: Array, sensor: Sensor) -> tuple[float, float, float, float]:
+    """Noise of one sample, the most that it may be, and `masks.misstated`, 0 if the noise is unknown.
 
-    Correlated noise shows itself in means; so does a fast motion, which makes the result too large. A
-    converter hides noise of half a step.
+    The most is the largest noise of means of 1, 4 and 16 samples. Correlated noise shows itself in means; so
+    does a fast motion, which makes the result too large.
     """
-    found, values = [masks.noise(values, sensor, moving=True)], values[np.isfinite(values)]
+    seen, found = masks.noise(values, sensor), [masks.noise(values, sensor, moving=True)]
+    values = values[np.isfinite(values)]
     for size in (4, 16):
         blocks = values[: values.size // size * size].reshape(-1, size).mean(axis=1)
         found.append(masks.noise(blocks) * math.sqrt(size))
     most = max((x for x in found if math.isfinite(x)), default=0.0)
-    return math.hypot(most, sensor.resolution / 2) if most > 0 else 0.0
+    louder, quieter = masks.misstated(sensor, seen, most)
+    return seen, most, louder, quieter if math.isfinite(seen) and most > 0 else 0.0
 
 
 def signal_findings(recordings: Sequence[Recording], names: Collection[str], label: str) -> Iterator[Finding]:
@@ -148,13 +143,11 @@ def signal_findings(recordings: Sequence[Recording], names: Collection[str], lab
 
 def _noise_finding(recording: Recording, name: str, label: str) -> Finding:
     values, sensor = recording[name], recording.sensor(name)
-    seen, most, p = masks.noise(values, sensor), _most_noise(values, sensor), 1.0
-    if sensor.noise > 0 and seen > 0 and most > 0:
+    seen, _, louder, quieter = _noise_test(values, sensor)
+    p = 1.0
+    if sensor.noise > 0 and seen > 0 and quieter > 0:
         error = NOISE_ERROR / math.sqrt(np.isfinite(values).sum())  # of the logarithm
-        excess = max(
-            math.log(seen / sensor.sd / NOISE_KNOWN), math.log(sensor.noise / most / masks.OVERSTATED)
-        )
-        p = float(min(1.0, 2 * stats.norm.sf(excess / error)))
+        p = float(min(1.0, 2 * stats.norm.sf(math.log(max(louder, quieter)) / error)))
     return Finding(
         "noise",
         p,

@@ -18,7 +18,7 @@ from fmus.identification import balance
 from fmus.identification.balance import SMALLEST, UNLIKELY, Samples, Solution
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.recordings.clock import uniform_rate
-from fmus.identification.recordings.masks import good
+from fmus.identification.recordings.masks import KNOWN, good
 from fmus.identification.results import (
     BAR,
     LITRES_PER_MINUTE,
@@ -34,7 +34,6 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
 
-NOISE_KNOWN = 2.0  # factor to which the noise of a sensor is known
 LAGS, CORRELATED = 5, 0.2  # windows, and correlation of whitened residuals that is no contradiction
 UNTOLD = 5.0  # limits of a zero above which its standard deviation allows no test
 ONE_WAY = 0.9  # rank correlation of an effect with time from which on its change in time cannot be told
@@ -329,7 +328,7 @@ class Fit:
     def model(self) -> Finding:
         """Whether the residual is an effect that the law lacks: too large, or correlated beyond noise.
 
-        A noise that is known to a factor of two (`NOISE_KNOWN`) and neighbours with a correlation of
+        A noise that is known to a factor of two (`KNOWN`) and neighbours with a correlation of
         `CORRELATED` are no contradiction; the interval covers them. Without noise nothing is tested.
         """
         fit, samples = self.solution.fit, self.solution.samples
@@ -337,7 +336,7 @@ class Fit:
         exact = any(np.any(s.sd[:, 0] <= SMALLEST * np.max(np.abs(s.raw), axis=1)) for s in samples)
         if exact or fit.freedom < 1:
             return Finding("model", 1.0, sentence)
-        too_large = float(stats.ncx2.sf(fit.chi_square, fit.freedom, (NOISE_KNOWN**2 - 1) * fit.freedom))
+        too_large = float(stats.ncx2.sf(fit.chi_square, fit.freedom, (KNOWN**2 - 1) * fit.freedom))
         correlated, largest = 1.0, 0.0
         if fit.freedom >= LAGS * 10 and samples[0].bump.size > 1:
             correlated, largest = self._correlation()

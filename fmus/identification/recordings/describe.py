@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.identification.recordings.masks import noise, step
+from fmus.identification.recordings.masks import faults, noise, step, zeros_of_dead_zone
 from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.reading import (
     CHOICES,
@@ -33,14 +33,7 @@ from orchestrator.base.units import COMMON, convert, is_unit, parse_unit, si_uni
 from orchestrator.data.corrections import log_faults
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.recording import Recording, Sensor
-from orchestrator.data.table import (
-    Columns,
-    TextFormat,
-    clock,
-    is_in_days,
-    read_columns,
-    time_axis,
-)
+from orchestrator.data.table import Columns, TextFormat, clock, is_in_days, read_columns, time_axis
 from orchestrator.data.trace import units_of_run
 
 # SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
@@ -108,12 +101,11 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         raise Problem(unread[0])
     units = {name: _unit(columns, name) for name in columns.values}
     time, units[time] = _time(columns, units)
-    values = {n: convert(v, u := units[n], si_unit(u), n) for n, v in columns.values.items()}
-    in_si = {name: si_unit(unit) for name, unit in units.items()}
+    recorded = [name for name in columns.values if name not in (time, *columns.moments)]
+    in_si = {name: si_unit(units[name]) for name in recorded}
+    values = {n: convert(columns.values[n], units[n], unit, n) for n, unit in in_si.items()}
     # noise and resolution as the samples show them, so that only faults are remarked on
     shown = {n: Sensor(noise=float(np.nan_to_num(noise(v))), resolution=step(v)) for n, v in values.items()}
-    for name in {time, *columns.moments}:
-        del values[name]
     seconds = time_axis(columns, time, units[time])
     every = float(np.median(np.diff(seconds))) if seconds.size > 1 else 0.0
     logged = {n: [*log_faults(columns.values[n], SignalDescription(units[n]), every)] for n in values}
@@ -122,12 +114,13 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     sensors = _sensors(procedure)
     dimensions, proposed = {parse_unit(unit).exponents for unit in sensors}, set[str]()
     lines = list[str]()
-    for signal in quality.signals:
-        column, unit = signal.name, units[signal.name]
+    for signal in quality.channels:
+        column, unit = signal.signal, units[signal.signal]
         finite = columns.values[column][np.isfinite(columns.values[column])]
         extent = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size else "no number"
-        faults = [f"{cause} {100 * share:.2g} %" for cause, (share, _) in signal.unused.items() if share]
-        found = ", ".join([*faults, *["constant"] * (signal.low == signal.high)])
+        unused = faults(recording, column)
+        causes = [f"{cause} {100 * mask.mean():.2g} %" for cause, mask in unused.items() if mask.any()]
+        found = ", ".join([*causes, *["constant"] * (signal.low == signal.high)])
         names, may_be = ([column], "") if column in of_run else _candidates(column, unit, sensors)
         name = next((n for n in names if n not in proposed), "NAME")
         proposed.add(name)
@@ -139,8 +132,9 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         keys += f', group = "{group}"' * bool(group)
         factor = parse_unit(unit).factor
         # finer steps are digits of the file
-        shown_keys = {"dead_zone": signal.zone, "noise": signal.noise, "resolution": signal.step}
-        shown_keys["resolution"] *= signal.step > signal.noise / 10
+        step_shown = shown[column].resolution * (shown[column].resolution > signal.noise / 10)
+        zone = zeros_of_dead_zone(values[column], shown[column])
+        shown_keys = {"dead_zone": zone, "noise": signal.noise, "resolution": step_shown}
         instrument = ", ".join(f"{k} = {v / factor:.3g}" for k, v in shown_keys.items() if v > 0)
         lines.append(
             f"# {about}\n{'# ' * bool(may_be or name == 'NAME')}{_text(name)} = {{ {keys} }}"
@@ -159,19 +153,11 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     head = HEAD.format(formats, _text(time), _text(units[time]), experiment, "\n".join(limits))
     write_whole(out, "\n".join([head, *lines]))
     use = f"harvester identify {out.parent}" if procedure else f"harvester validate --reference {data}"
-    after = f"{out}: written; fill in the names of the signals, then: {use}"
-    columns_found = [line.partition("\n")[0].removeprefix("# ") for line in lines]
-    about = f"{data}: {len(columns.rows)} rows at {quality.rate:.6g} Hz, time in {time!r} [{units[time]}]"
-    return "\n".join(
-        [
-            about,
-            *columns_found,
-            *(f"{fault}; left out" for fault in unread),
-            *quality.remarks(),
-            *recording.log_faults(),
-            after,
-        ]
-    )
+    told = [f"{data}: {len(columns.rows)} rows at {quality.rate:.6g} Hz, time in {time!r} [{units[time]}]"]
+    told += [line.partition("\n")[0].removeprefix("# ") for line in lines]
+    told += [f"{fault}; left out" for fault in unread]
+    told += [*quality.remarks(), *recording.log_faults()]
+    return "\n".join([*told, f"{out}: written; fill in the names of the signals, then: {use}"])
 
 
 def _text(text: str | int) -> str:

@@ -29,12 +29,11 @@ MIN_CHANGES = 0.02  # fraction of samples that differ from the one before; below
 FALSE_ALARM = 1e-3  # probability of a false alarm in one recording
 MIN_CHANCE = 1e-3  # least probability of two equal samples, an allowance for unknown effects of a logger
 MAX_CHANCE = 0.5  # largest probability of equal samples that can be judged; a slow encoder has about 0.6
-OVERSTATED = 3.0  # stated noise over estimated noise, from which the stated noise is not used
+KNOWN = 2.0  # factor to which a description knows the noise of a sensor: noise of the samples over it
+OVERSTATED = 3.0  # stated noise over that of the samples, from which the stated noise is not used
 WHITE = 0.7  # least ratio of the noise estimates by the sixth and the fourth difference if the noise is white
 MIN_GOOD = 0.5  # least fraction of good samples for an average
-VISIBLE = (
-    1e-6  # of the largest magnitude: finer noise and steps are those of a computation, whose zeros are exact
-)
+VISIBLE = 1e-6  # of the largest magnitude; finer noise and steps are of a computation, whose zeros are exact
 AT_ZERO = 6.0  # standard deviations, which noise exceeds once in 5e8 samples
 ROUNDING = 1e-9  # s, of time stamps, in a settling time
 EXACT = Sensor()  # without noise, steps, ends and dead zone
@@ -74,12 +73,9 @@ def zeros_of_dead_zone(values: Array, sensor: Sensor) -> float:
     others = values[np.isfinite(values) & (values != 0)]
     if not others.size or equal_by_chance(others, sensor) > MAX_CHANCE:  # a signal without noise may be zero
         return 0.0
-    least, largest, error = (
-        float(np.abs(others).min()),
-        float(np.abs(others).max()),
-        max(step_and_noise(others, sensor)),
-    )
-    return least if VISIBLE * largest < error < least / AT_ZERO else 0.0
+    sizes, error = np.abs(others), max(step_and_noise(others, sensor))
+    least = float(sizes.min())
+    return least if VISIBLE * sizes.max() < error < least / AT_ZERO else 0.0
 
 
 def step(values: Array) -> float:
@@ -126,7 +122,7 @@ def step_and_noise(values: Array, sensor: Sensor) -> tuple[float, float]:
     width = sensor.resolution or step(values)
     total = noise(values, sensor)
     estimate = math.sqrt(max(total**2 - width**2 / 12, 0.0)) if total > 0 else 0.0
-    if overstated(sensor, noise(values, sensor, moving=True)):
+    if misstated(sensor, total, noise(values, sensor, moving=True))[1] > 1:
         return width, estimate
     if not sensor.noise > 0:
         # a smooth signal, such as a command, is not white: each higher difference of it is smaller
@@ -135,12 +131,17 @@ def step_and_noise(values: Array, sensor: Sensor) -> tuple[float, float]:
     return width, max(sensor.noise, estimate)
 
 
-def overstated(sensor: Sensor, moving: float) -> bool:
-    """Is the stated noise much larger than that of the samples that differ from their neighbours?
+def misstated(sensor: Sensor, seen: float, most: float) -> tuple[float, float]:
+    """Noise of the samples over `KNOWN` times the stated noise, and stated noise over `OVERSTATED` times it.
 
-    A step of the converter hides noise of up to half a step.
+    The stated noise is wrong if one of them is above 1. A step of the converter hides noise of up to half a
+    step, and a slow signal that is rounded to steps looks like noise of up to half a step.
+
+    seen, most   noise of all samples, and the most that they may have, such as those that are not at rest
     """
-    return sensor.noise > OVERSTATED * math.hypot(moving, sensor.resolution / 2)
+    stated, most = (math.hypot(sd, sensor.resolution / 2) for sd in (sensor.noise, most))
+    louder = seen / (KNOWN * stated) if stated else 0.0
+    return louder, sensor.noise / (OVERSTATED * most) if most else math.inf if sensor.noise else 0.0
 
 
 def _long_runs(values: Array, sensor: Sensor) -> Mask:

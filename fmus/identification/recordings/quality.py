@@ -1,7 +1,7 @@
 """Quality of a recording: `examine` checks its clock and its signals against their description.
 
 `Quality.remarks` reports faults in sentences. Faulty samples come from `masks`. A magnitude that no machine
-reaches indicates a wrong unit.
+reaches indicates a wrong unit. `prepared` gives the samples that an identification uses.
 """
 
 import math
@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.identification.recordings import masks
-from fmus.identification.recordings.clock import GAP, UNIFORM, period, sample_steps
+from fmus.identification.recordings.clock import (
+    GAP,
+    MAX_RATE,
+    UNIFORM,
+    downsample,
+    period,
+    resample_uniformly,
+    sample_steps,
+)
+from fmus.identification.recordings.reading import MACHINE
 from orchestrator.base.text import display_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
@@ -26,7 +35,6 @@ PLAUSIBLE: Mapping[str, tuple[float, float]] = {
     "rad/s": (0.0, 20.0),
 }
 PLAUSIBLE_RATES = (10.0, 1e5)  # Hz, of a logger that records the motion of a valve
-LOUD = 2.0  # a remark from this ratio of noise to stated noise on
 COARSE, FINE = 1.5, 0.67  # a remark outside these ratios of step to stated resolution
 FINEST_STATED = 1e-4  # fraction of a signal's range; finer steps, such as digits of a file, need no statement
 LOOSE = 0.1  # periods of white jitter, from which a lost sample may not be seen, which moves all later ones
@@ -41,116 +49,131 @@ BOW = 0.25  # periods; a remark if the drift moves time stamps farther than this
 
 @dataclass(frozen=True)
 class SignalQuality:
-    """Faults and noise of one signal, in SI units.
+    """Faults of one signal, and its samples in SI units.
 
-    sensor      the instrument as described
     low, high   extremes of the samples, NaN if there are none
-    step        quantisation step estimated from the samples, 0 if there is none
     noise       noise estimated from the samples
-    moving      noise of the samples that differ from their neighbours
-    zone        least magnitude beyond the zeros of an undeclared dead zone, 0 if there is none
-    unused      cause of `masks.faults` -> fraction of the samples, and a text of those that may be faults
+    sensor      the instrument in words
+    remarks     a sentence for each fault; samples in the dead zone are not a fault
+    dead        fraction of the samples in the dead zone of the sensor, which are not used
     """
 
-    name: str
+    signal: str
     unit: str
-    sensor: Sensor
     low: float
     high: float
-    step: float
     noise: float
-    moving: float
-    zone: float
-    unused: Mapping[str, tuple[float, str]]
-
-    def faults(self) -> list[str]:
-        """A sentence for each fault; samples in the dead zone are not a fault."""
-        show, sensor = self.show, self.sensor
-        gaps, clipped, stuck, _ = (text for _, text in self.unused.values())
-        least, most = PLAUSIBLE.get(self.unit, (0.0, math.inf))
-        largest = max(abs(self.low), abs(self.high))
-        # what is zero up to the noise of its sensor tells nothing about its unit
-        implausible = largest > masks.AT_ZERO * sensor.sd and not least <= largest <= most
-        limits = f"{show(least)} to {show(most)}" if least else f"up to {show(most)}"
-        extremes = f"from {show(self.low)} to {show(self.high)}"
-        # a slow signal rounded to steps looks like noise of up to half a step
-        stated, known = math.hypot(sensor.noise, sensor.resolution / 2), sensor.resolution
-        found, noise = show(self.noise), show(sensor.noise)
-        weight = f"{show(self.moving)}: the weight of the signal is too small"
-        visible = self.noise > 0 and self.step > FINEST_STATED * (self.high - self.low)
-        steps, resolution = f"steps of {show(self.step)}", f"the stated resolution, {show(known)}"
-        ends = "at an end of the sensor's range or held at the signal's own extreme"
-        tests = {
-            f"{gaps} without a sample.": gaps,
-            f"{clipped} clipped, {ends}.": clipped,
-            f"reads 0 or at least {show(self.zone)}: a meter's dead zone? dead_zone states it.": self.zone,
-            f"{stuck} stuck at one value, without the noise of the sensor; not used.": stuck,
-            f"{extremes}, expected a largest magnitude of {limits}: is its unit right?": implausible,
-            f"noise of {found}, stated {noise}.": self.noise > LOUD * stated > 0,
-            f"stated noise of {noise}, much larger than that of the samples, {weight}.": masks.overstated(
-                sensor, self.moving
-            ),
-            f"{steps}, coarser than {resolution}.": self.step > COARSE * known > 0,
-            f"{steps}, finer than {resolution}.": 0 < self.step < FINE * known,
-            f"{steps} without a stated resolution.": known == 0 and visible,
-        }
-        return [sentence for sentence, true in tests.items() if true]
-
-    def show(self, value: float) -> str:
-        """A value in its display unit."""
-        unit = display_unit(self.unit)
-        return unit.plain(value) if self.unit == "1" else unit.ascii(value)
+    sensor: str
+    remarks: list[str]
+    dead: float
 
 
 @dataclass(frozen=True)
 class Quality:
     """Quality of a recording's clock and signals.
 
-    rate      samples per second, missing samples included [Hz]
-    jitter    standard deviation of a time stamp from a clock with constant drift [s]
-    clock     a sentence for each fault of the clock
+    duration   from the first to the last sample [s]
+    rate       samples per second, missing samples included [Hz]
+    clock      a sentence for each fault of the clock
+    notes      sentences on what is no fault: samples in dead zones, and constant signals
     """
 
-    source: str
+    name: str
+    title: str
+    procedure: str
+    use: str
+    kind: str
+    duration: float
     rate: float
-    jitter: float
     clock: list[str]
-    signals: list[SignalQuality]
+    channels: list[SignalQuality]
+    notes: list[str]
+
+    def faults(self) -> list[str]:
+        """One sentence for each fault; none for a clean recording."""
+        return [*self.clock, *(f"{c.signal}: {fault}" for c in self.channels for fault in c.remarks)]
 
     def remarks(self) -> list[str]:
-        """One sentence for each remark; none for a clean recording."""
-        remarks, constant = list(self.clock), []
-        for s in self.signals:
-            remarks += [f"{s.name}: {fault}" for fault in s.faults()]
-            _, dead = s.unused["dead zone"]
-            if s.low == s.high:
-                constant.append(f"{s.name} ({s.show(s.low)})")
-            elif dead:
-                zone = s.show(s.sensor.dead_zone)
-                remarks.append(f"{s.name}: {dead} in the sensor's dead zone of {zone}, not used.")
-        return [*remarks, f"One value throughout: {', '.join(constant)}."] if constant else remarks
+        """The faults, then the notes."""
+        return [*self.faults(), *self.notes]
 
 
 def examine(recording: Recording) -> Quality:
     """The quality of a recording, from its samples and its description."""
-    signals = []
-    for name, values in recording.signals.items():
-        sensor, finite = recording.sensor(name), values[np.isfinite(values)]
-        low, high = (finite.min(), finite.max()) if finite.size else (math.nan, math.nan)
-        noises = masks.noise(values, sensor), masks.noise(values, sensor, moving=True)
-        zone, found = masks.zeros_of_dead_zone(values, sensor), masks.faults(recording, name)
-        zeros = max(
-            (run.stop - run.start for run in true_intervals(values[np.isfinite(values)] == 0)), default=0
+    notes, constant = list[str](), list[str]()
+    channels = [_signal(recording, name, notes, constant) for name in recording.signals]
+    if constant:
+        notes.append(f"One value throughout: {', '.join(constant)}.")
+    about = recording.source.name, recording.title, recording.procedure, recording.use, recording.kind
+    duration = float(recording.time[-1] - recording.time[0])
+    return Quality(*about, duration, *_clock(recording), channels, notes)
+
+
+def prepared(recording: Recording) -> tuple[Recording, Quality]:
+    """A recording on a uniform clock, of the machine one of at most `MAX_RATE`; its quality before."""
+    found, uniform = examine(recording), resample_uniformly(recording)
+    if uniform is not recording:
+        found.clock.append(f"The clock: all signals are interpolated at {found.rate:.6g} Hz; gaps stay gaps.")
+    if recording.procedure != MACHINE:
+        return uniform, found
+    if found.rate > 1.01 * MAX_RATE:
+        found.clock.append(
+            f"The clock: {found.rate:.6g} Hz, filtered to {MAX_RATE:g} Hz to be fitted together."
         )
-        # a sensor from 0 on reads zero where noise around it is negative
-        rest = (values == 0) & (zone > 0 or (sensor.low == 0 and zeros < HALF_ZERO))
-        unused = {
-            c: (float(m.mean()), _unused(m & ~(rest & (c != "dead zone")), recording.time))
-            for c, m in found.items()
-        }
-        numbers = (float(low), float(high), masks.step(values), *noises, zone)
-        signals.append(SignalQuality(name, recording.units[name], sensor, *numbers, unused))
-    return Quality(recording.source.name, *_clock(recording), signals)
+    return downsample(uniform), found
+
+
+def _signal(recording: Recording, name: str, notes: list[str], constant: list[str]) -> SignalQuality:
+    """The quality of a signal; adds to the notes, and to the signals with one value."""
+    values, sensor, unit = recording[name], recording.sensor(name), recording.units[name]
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (math.nan, math.nan)
+    seen, moving, step = (
+        masks.noise(values, sensor),
+        masks.noise(values, sensor, moving=True),
+        masks.step(values),
+    )
+    zone, unused = masks.zeros_of_dead_zone(values, sensor), masks.faults(recording, name)
+    dead = unused.pop("dead zone")
+    zeros = max((run.stop - run.start for run in true_intervals(finite == 0)), default=0)
+    # a sensor from 0 on reads zero where noise around it is negative
+    rest = (values == 0) & (zone > 0 or (sensor.low == 0 and zeros < HALF_ZERO))
+    gaps, clipped, stuck = (_unused(mask & ~rest, recording.time) for mask in unused.values())
+
+    def show(value: float) -> str:
+        shown = display_unit(unit)
+        return shown.plain(value) if unit == "1" else shown.ascii(value)
+
+    least, most = PLAUSIBLE.get(unit, (0.0, math.inf))
+    largest = max(abs(low), abs(high))
+    # what is zero up to the noise of its sensor tells nothing about its unit
+    implausible = largest > masks.AT_ZERO * sensor.sd and not least <= largest <= most
+    limits = f"{show(least)} to {show(most)}" if least else f"up to {show(most)}"
+    extremes = f"from {show(low)} to {show(high)}"
+    (louder, quieter), known = masks.misstated(sensor, seen, moving), sensor.resolution
+    weight = f"{show(moving)}: the weight of the signal is too small"
+    visible = seen > 0 and step > FINEST_STATED * (high - low)
+    steps, resolution = f"steps of {show(step)}", f"the stated resolution, {show(known)}"
+    ends = "at an end of the sensor's range or held at the signal's own extreme"
+    noise = show(sensor.noise)
+    tests = {
+        f"{gaps} without a sample.": gaps,
+        f"{clipped} clipped, {ends}.": clipped,
+        f"reads 0 or at least {show(zone)}: a meter's dead zone? dead_zone states it.": zone,
+        f"{stuck} stuck at one value, without the noise of the sensor; not used.": stuck,
+        f"{extremes}, expected a largest magnitude of {limits}: is its unit right?": implausible,
+        f"noise of {show(seen)}, stated {noise}.": louder > 1,
+        f"stated noise of {noise}, much larger than that of the samples, {weight}.": quieter > 1,
+        f"{steps}, coarser than {resolution}.": step > COARSE * known > 0,
+        f"{steps}, finer than {resolution}.": 0 < step < FINE * known,
+        f"{steps} without a stated resolution.": known == 0 and visible,
+    }
+    if low == high:
+        constant.append(f"{name} ({show(low)})")
+    elif text := _unused(dead, recording.time):
+        notes.append(f"{name}: {text} in the sensor's dead zone of {show(sensor.dead_zone)}, not used.")
+    remarks = [sentence for sentence, true in tests.items() if true]
+    return SignalQuality(name, unit, low, high, seen, sensor.text, remarks, float(dead.mean()))
 
 
 def _unused(mask: Mask, time: Array) -> str:
@@ -167,8 +190,8 @@ def _unused(mask: Mask, time: Array) -> str:
     return f"{samples} ({share}; {several}{first}, longest {longest:.3g} s)"
 
 
-def _clock(recording: Recording) -> tuple[float, float, list[str]]:
-    """Rate, jitter and faults of a clock."""
+def _clock(recording: Recording) -> tuple[float, list[str]]:
+    """Rate and faults of a clock."""
     time = recording.time
     usual, intervals, steps = period(time), np.diff(time), sample_steps(time)
     rate = float(np.sum(steps) / (time[-1] - time[0]))
@@ -194,7 +217,7 @@ def _clock(recording: Recording) -> tuple[float, float, list[str]]:
         f"the interval changes by {100 * drift:.2g} % from start to end, which is {off}.": bow * rate > BOW,
         f"{rows}, first at {repeated[:1].sum():.6g} s.": repeated.size,
     }
-    return rate, jitter, [f"The clock: {sentence}" for sentence, true in tests.items() if true]
+    return rate, [f"The clock: {sentence}" for sentence, true in tests.items() if true]
 
 
 def _drift(time: Array, steps: NDArray[np.int64]) -> tuple[float, float, float]:

@@ -122,14 +122,12 @@ def _stick_over_boom(recording: Recording) -> float:
 def unused_files(folder: Path, recordings: Sequence[Recording]) -> list[str]:
     """A sentence for each data file of a folder that belongs to none of its recordings."""
     used = {recording.source.name for recording in recordings}
-    sentences = []
-    for path in _data_files(folder):
-        if path.name not in used:
-            toml_file = path.with_suffix(".toml")
-            described = toml_file.is_file()
-            lack = "has no table [experiment]" if described else "is missing"
-            sentences.append(f"{path.name}: left out, {toml_file.name} {lack}.")
-    return sentences
+    unused = [(path, path.with_suffix(".toml")) for path in _data_files(folder) if path.name not in used]
+    return [
+        f"{path.name}: left out, {description.name} "
+        f"{'has no table [experiment]' if description.is_file() else 'is missing'}."
+        for path, description in unused
+    ]
 
 
 def _data_files(folder: Path) -> list[Path]:

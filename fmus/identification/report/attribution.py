@@ -267,16 +267,16 @@ def verdict(shares: Sequence[EffectShare], together: float, parameters: float, n
             f"{percent(first.alone)}, {first.coefficient:.2g} times as strong as in the variant. "
             f"All effects together explain {percent(together)}."
         )
-        close = [s.effect for s in shares[1:] if s.alone >= CLOSE * first.alone]
-        if close:
+        if close := [s.effect for s in shares[1:] if s.alone >= CLOSE * first.alone]:
             text += f" The data can hardly distinguish it from {' and '.join(close)}."
-    if first.alone >= LEAST and first.effect in (LATE, EARLY):
-        delay = first.coefficient * (SHIFT if first.effect == LATE else -SHIFT)
-        most = math.ceil(20 * abs(delay)) / 10  # s: twice the delay
-        text += (
-            f" The key `delay = {delay:.2g}` at each command, or that much more than it has, corrects most "
-            f"of it. With `delay_error = {most:g}` in its place identify estimates the delay of each command."
-        )
+        if first.effect in (LATE, EARLY):
+            delay = first.coefficient * (SHIFT if first.effect == LATE else -SHIFT)
+            most = math.ceil(20 * abs(delay)) / 10  # s: twice the delay
+            text += (
+                f" The key `delay = {delay:.2g}` at each command, or that much more than it has, corrects "
+                f"most of it. With `delay_error = {most:g}` in its place identify estimates the delay of "
+                "each command."
+            )
     if parameters > LEAST / 2:
         text += (
             f" Slightly different values of the identified parameters would remove {percent(parameters)}: "

@@ -17,11 +17,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from fmus.identification.report.prediction import RecordingComparison
@@ -366,14 +364,10 @@ def draw_correlation(names: Sequence[str], correlation: Array) -> Figure:
     size = 2.9 + 0.30 * count
     figure = new_figure(min(size + 1.0, 11), min(size, 10.4))
     axes = figure.add_subplot()
-    rows, columns = np.tril_indices(count - 1)
-    cells = [(j, i, r) for i, j in zip(rows, columns, strict=True) if np.isfinite(r := correlation[i + 1, j])]
-    squares = [Rectangle((float(x), float(y)), 1, 1) for x, y, _ in cells]
-    image = PatchCollection(squares, cmap="RdBu_r", edgecolor=PALETTE.grid, linewidth=0.6)
-    image.set_array([r for *_, r in cells])
-    image.set_clim(-1, 1)
-    axes.add_collection(image)
-    for x, y, r in cells:
+    lower = np.where(np.tri(count - 1, dtype=bool), correlation[1:, :-1], np.nan)
+    grid: dict[str, Any] = {"edgecolor": PALETTE.grid, "linewidth": 0.6}
+    image = axes.pcolor(np.ma.masked_invalid(lower), cmap="RdBu_r", vmin=-1, vmax=1, **grid)
+    for (y, x), r in np.ndenumerate(lower):
         if abs(r) >= LARGE_CORRELATION:
             colour = "#ffffff" if abs(r) > 0.65 else "#000000"
             place: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6.5}

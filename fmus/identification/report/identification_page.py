@@ -10,16 +10,13 @@ import numpy as np
 from fmus.contract import quantities
 from fmus.identification.machine import lookup, nominal, sensor_sentences
 from fmus.identification.pipeline import NO_RECORDING, Identified
-from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
-from fmus.identification.recordings.quality import examine
-from fmus.identification.recordings.reading import MACHINE
+from fmus.identification.recordings.quality import Quality
 from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.report import figures, prediction, report_texts
 from fmus.identification.report.attribution import attribute
 from fmus.identification.results import Estimate, named
 from fmus.machine.parts import FERIC
 from orchestrator.base.signals import rms
-from orchestrator.data.recording import Recording
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import plot
 from orchestrator.pages.plotting import embed
@@ -37,7 +34,13 @@ def write_page(folder: Path, page: Mapping[str, Any]) -> tuple[Path, Path]:
     The JSON file has all values of the page in SI units, without the curves of the figures.
     """
     results = [{n: value for n, value in vars(r).items() if n != "panels"} for r in page["results"]]
-    values = {name: value for name, value in page.items() if name != "figures"} | {"results": results}
+    qualities = [
+        {n: value for n, value in vars(q).items() if n not in ("clock", "notes")}
+        | {"remarks": q.clock, "faults": len(q.faults())}
+        for q in page["qualities"]
+    ]
+    values = {**page, "results": results, "qualities": qualities}
+    del values["figures"]
     html = html_page.write_text(folder / f"{NAME}.html", render(page))
     return html, html_page.write_json(folder / f"{NAME}.json", values)
 
@@ -61,6 +64,7 @@ def render(page: Mapping[str, Any]) -> str:
         texts=report_texts,
         origin=report_texts.origin(kinds),
         results=results,
+        faults=sum(len(q.faults()) for q in page["qualities"]),
         heatmap=heatmap,
         picture=figures.estimates_picture(page["parameters"]),
         figures=[(name, plot(replace(f, title=""), name), caption) for name, f, caption in page["figures"]],
@@ -73,7 +77,7 @@ def page_content(
     out: Path,
     identified: Identified,
     comparison: prediction.RecordingComparison | None,
-    qualities: Sequence[Mapping[str, Any]] = (),
+    qualities: Sequence[Quality] = (),
     processes: int = 1,
 ) -> dict[str, Any]:
     """The content of the report: the values of the JSON file, and `figures` of the predicted signals.
@@ -103,7 +107,7 @@ def page_content(
         "remarks": [
             *([f"No recording of {', '.join(missing)}."] if missing else ()),
             *(f"{sentence}." for sentence in (sensor_sentences(refined) if refined else ())),
-            *map(extrapolation_text, outside),
+            *(found.doubt() for found in outside),
         ],
         "findings": [{"procedure": name, **vars(f), "named": f in shown} for name, f in tests],
         "prediction": comparison
@@ -112,19 +116,13 @@ def page_content(
             "use": comparison.recording.use,
             "nrmse": comparison.nrmse(),
             "held": comparison.held(),
-            "extrapolated": [{"recording": file, **vars(found)} for file, found in outside],
+            "extrapolated": outside,
         },
         "warnings": [
             *(f"{name}: {why}." for name, why in identified.skipped.items() if why != NO_RECORDING),
             *(report_texts.warnings(refined) if refined else ()),
         ],
     }
-
-
-def extrapolation_text(outside: tuple[str, prediction.Extrapolation]) -> str:
-    """A sentence on an input outside its range in training: the prediction is doubtful, not the estimates."""
-    file, found = outside
-    return f"{file}: {found}: its prediction is an extrapolation, which the bands do not cover."
 
 
 def _joints(comparison: prediction.RecordingComparison) -> Iterator[tuple[str, Any, str]]:
@@ -148,9 +146,8 @@ def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str,
     """Commands that use the estimates -> their purpose."""
     commands = {f"harvester build --parameters {out}": "FMUs with these parameters"}
     for recording in identified.of_machine("test")[:1]:
-        lines = [n for n in ("supply", "tank") if f"swing.{n}_pressure" in recording.signals]
-        play = "".join(f' --play "*.{line}_pressure"' for line in lines)
-        command = f"harvester validate --reference {folder / recording.source.name}{play}"
+        played = [f' --play "*.{n}"' for n in prediction.LINES if f"swing.{n}" in recording.signals]
+        command = f"harvester validate --reference {folder / recording.source.name}{''.join(played)}"
         commands[command] = "Validation of these FMUs against the held-out recording"
     return commands
 
@@ -194,43 +191,11 @@ def refinement(refined: RefinementResult) -> dict[str, Any]:
     }
 
 
-def quality(recording: Recording) -> dict[str, Any]:
-    """Content of the page and the JSON file for the clock and the signals of a recording.
-
-    faults     number of remarks, including those of the channels
-    channels   by signal: lowest and highest value, noise, fraction of samples in the dead zone of the sensor
-               (which are not used), and remarks
-    """
-    found = examine(recording)
-    remarks = list(found.clock)
-    if resample_uniformly(recording) is not recording:
-        remarks.append(f"The clock: all signals are interpolated at {found.rate:.6g} Hz; gaps stay gaps.")
-    if found.rate > 1.01 * MAX_RATE and recording.procedure == MACHINE:
-        remarks.append(f"The clock: {found.rate:.6g} Hz, filtered to {MAX_RATE:g} Hz to be fitted together.")
-    channels: list[dict[str, Any]] = [
-        {"signal": s.name, **{name: getattr(s, name) for name in ("unit", "low", "high", "noise")}}
-        | {"sensor": s.sensor.text, "remarks": s.faults(), "dead": s.unused["dead zone"][0]}
-        for s in found.signals
-    ]
-    return {
-        "name": recording.source.name,
-        **{name: getattr(recording, name) for name in ("title", "procedure", "use", "kind")},
-        "duration": float(recording.time[-1] - recording.time[0]),
-        "rate": found.rate,
-        "channels": channels,
-        "remarks": remarks,
-        "faults": len(remarks) + sum(len(c["remarks"]) for c in channels),
-    }
-
-
-def faults(qualities: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def faults(qualities: Sequence[Quality]) -> Iterator[str]:
     """Lines on the faults of all recordings for a terminal; dead zones are summarised in one line."""
-    dead = []
     for q in qualities:
-        yield from (f"{q['name']}: {remark}" for remark in q["remarks"])
-        yield from (f"{q['name']}: {c['signal']}: {text}" for c in q["channels"] for text in c["remarks"])
-        dead += [(c["dead"], q["name"], c["signal"]) for c in q["channels"] if 0 < c["dead"] < 1]
-    if dead:
+        yield from (f"{q.name}: {fault}" for fault in q.faults())
+    if dead := [(c.dead, q.name, c.signal) for q in qualities for c in q.channels if 0 < c.dead < 1]:
         fraction, name, signal = max(dead)
         files = len({file for _, file, _ in dead})
         yield (

@@ -214,23 +214,29 @@ def prediction(identified: Identified) -> RecordingComparison | None:
 
 @dataclass(frozen=True)
 class Extrapolation:
-    """An input of a recording that leaves the range of its values in training, in SI units.
+    """An input that leaves the range of its values in training, in SI units.
 
+    recording  name of its file
     training   least and largest value of one sign in training, both 0 if there was none
     reached    the value outside that is farthest from the range
     """
 
+    recording: str
     signal: str
     unit: str
     training: tuple[float, float]
     reached: float
 
     def __str__(self) -> str:
-        shown, unit = display_unit(self.unit), self.unit if self.unit != "1" else ""
+        shown = display_unit(self.unit)
         low, high, reached = (f"{shown.factor * v:.3g}" for v in (*self.training, self.reached))
-        unit = shown.name or unit
+        unit = shown.name
         trained = f"{low} to {high} {unit}" if self.training != (0.0, 0.0) else "no value of this sign"
         return f"{self.signal} is {reached} {unit}, in training {trained}"
+
+    def doubt(self) -> str:
+        """A sentence: the prediction is doubtful, not the estimates."""
+        return f"{self.recording}: {self}: its prediction is an extrapolation, which the bands do not cover."
 
 
 def extrapolations(
@@ -263,16 +269,16 @@ def extrapolations(
             else:
                 continue
             ends = sorted((sign * low, sign * high))
-            yield Extrapolation(name, recording.units.get(name, "1"), (ends[0], ends[1]), sign * reached)
+            unit = recording.units.get(name, "1")
+            yield Extrapolation(recording.source.name, name, unit, (ends[0], ends[1]), sign * reached)
 
 
-def extrapolated(identified: Identified) -> list[tuple[str, Extrapolation]]:
-    """Inputs of the held-out recordings of the machine that leave their ranges in training, with the file."""
+def extrapolated(identified: Identified) -> list[Extrapolation]:
+    """Inputs of the held-out recordings of the machine that leave their ranges in training."""
     training = [r for r in identified.recordings if r.use == "train"]
     ranges = {n: [r[n] for r in training if n in r.signals] for n, *_ in FERIC.inputs.values()}
     valves = [r["command"] for r in training if r.procedure == "valve" and "command" in r.signals]
     for name in COMMANDS.values():  # a bench shows an edge, and the machine has the same for the other sign
         ranges[name] += [sign * volts for volts in valves for sign in (1, -1)]
     known = {n: np.concatenate(values) for n, values in ranges.items() if values}
-    held_out = identified.of_machine("test")
-    return [(r.source.name, found) for r in held_out for found in extrapolations(r, known, known)]
+    return [found for r in identified.of_machine("test") for found in extrapolations(r, known, known)]

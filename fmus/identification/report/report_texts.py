@@ -1,7 +1,7 @@
 """Texts of the identification report: rounded values with intervals, warnings, captions."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -17,30 +17,20 @@ WIDE = 0.5  # half interval over value above which the interval is shown as a fa
 FACTOR = "\N{MULTIPLICATION SIGN}÷"
 
 
-def unit(name: str) -> str:
-    """The display unit, typeset; empty for a dimensionless quantity."""
-    return display_unit(name).name
-
-
-def in_unit(value: float, name: str) -> float:
-    """A value in SI units, converted to the display unit."""
-    return display_unit(name).factor * value
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number with significant digits, typeset; a dash for None."""
-    return typeset(text.number(value, digits, zeros=True))
+def number(value: float | None, digits: int = 3, unit: str = "1") -> str:
+    """A number with significant digits in the display unit of `unit`, typeset; a dash for None."""
+    shown = None if value is None else display_unit(unit).factor * value
+    return typeset(text.number(shown, digits, zeros=True))
 
 
 def value(estimate: Estimate) -> str:
     """The value in its display unit."""
-    return number(in_unit(estimate.value, estimate.unit), estimate.digits)
+    return number(estimate.value, estimate.digits, estimate.unit)
 
 
 def interval(estimate: Estimate) -> str:
     """The 95 % interval in the display unit."""
-    ends = (in_unit(end, estimate.unit) for end in (estimate.low, estimate.high))
-    return " to ".join(_aligned(end, estimate) for end in ends)
+    return " to ".join(_aligned(end, estimate) for end in (estimate.low, estimate.high))
 
 
 def _aligned(end: float, estimate: Estimate) -> str:
@@ -48,9 +38,10 @@ def _aligned(end: float, estimate: Estimate) -> str:
     if math.isinf(end):
         return "open"
     if not math.isfinite(end) or not end or not estimate.value:
-        return number(end)
-    sizes = (math.floor(math.log10(abs(x))) for x in (in_unit(estimate.value, estimate.unit), end))
-    return number(end, max(1, estimate.digits - next(sizes) + next(sizes)))
+        return number(end, unit=estimate.unit)
+    factor = display_unit(estimate.unit).factor
+    size, of_end = (math.floor(math.log10(abs(factor * x))) for x in (estimate.value, end))
+    return number(end, max(1, estimate.digits - size + of_end), estimate.unit)
 
 
 def half_width(estimate: Estimate) -> str:
@@ -102,24 +93,20 @@ def warnings(refined: RefinementResult) -> list[str]:
     residual = refined.history[-1].residual if refined.history else 0.0
     if residual > FAR:
         ratios = {n: test.rms for n, test in refined.whiteness.items() if test.rms > FAR}
-        far = ", ".join(f"{name} {ratios[name]:.3g} times" for name in _largest(ratios)[:NAMED])
+        largest = sorted(ratios, key=lambda name: -ratios[name])[:NAMED]
+        far = ", ".join(f"{name} {ratios[name]:.3g} times" for name in largest)
         sentences.append(
             f"The joint refinement leaves residuals {residual:.3g} times as large as the noise of the "
             f"sensors{f' ({far})' if far else ''}: the data contain an effect that the model lacks, "
             "and the estimates compensate for this effect. The report shows which effects are likely."
         )
     errors = _training_nrmse(refined)
-    if poor := [name for name in _largest(errors) if errors[name] > POOR]:
+    if poor := sorted((n for n, error in errors.items() if error > POOR), key=lambda n: -errors[n]):
         sentences.append(
             "The model does not even reproduce the recordings that were used for fitting. NRMSE above "
             f"{percent(POOR)} of the range: {', '.join(f'{n} {percent(errors[n])}' for n in poor)}."
         )
     return [*sentences, CHECK] if sentences else []
-
-
-def _largest(values: Mapping[str, float]) -> list[str]:
-    """Names of the values, the largest first."""
-    return sorted(values, key=lambda name: -values[name])
 
 
 def _training_nrmse(refined: RefinementResult) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fmus.identification.recordings.quality import Quality, SignalQuality
 from fmus.identification.report.attribution import EffectShare, Explanation
 from fmus.identification.results import Curve, Estimate, Panel, ProcedureResult
 from orchestrator.pages.figures import PALETTE, REFERENCE, SIMULATION, TraceFigure, TraceLine, TracePanel
@@ -56,18 +57,15 @@ def fit(signal: str, *numbers: float | None) -> dict[str, object]:
     return {"signal": signal, **dict.fromkeys(names), **dict(zip(names, numbers, strict=False))}
 
 
-def channel(signal: str, unit: str, *remarks: str, dead: float = 0.0) -> dict[str, object]:
+def channel(signal: str, unit: str, *remarks: str, dead: float = 0.0) -> SignalQuality:
     """Data quality of a signal."""
-    numbers = {"low": 0.0, "high": 2e-3, "noise": 5e-6, "dead": dead}
-    return {"signal": signal, "unit": unit, **numbers, "sensor": "turbine", "remarks": remarks}
+    return SignalQuality(signal, unit, 0.0, 2e-3, 5e-6, "turbine", list(remarks), dead)
 
 
-def quality(name: str, channels: tuple[dict[str, object], ...], *remarks: str) -> dict[str, object]:
+def quality(name: str, channels: tuple[SignalQuality, ...], *clock: str) -> Quality:
     """Data quality of a recording."""
-    about = {"title": "A", "procedure": "machine", "use": "test", "kind": "simulation"}
-    count = len(remarks) + sum(len(c["remarks"]) for c in channels)
-    numbers = {"duration": 42.0, "rate": 200.0, "faults": count}
-    return {"name": name, **about, **numbers, "channels": channels, "remarks": remarks}
+    about = "A", "machine", "test", "simulation"
+    return Quality(name, *about, 42.0, 200.0, list(clock), list(channels), [])
 
 
 def page(**more: object) -> dict[str, object]:

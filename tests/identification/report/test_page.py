@@ -115,8 +115,8 @@ def test_a_value_has_the_digits_of_its_interval(value, share):
 def test_parameters_are_shown_in_display_units():
     """SI values are converted to the display unit, and the unit is typeset."""
     assert report_texts.value(AREA) == "40.10"
-    assert report_texts.unit("m2") == "mm²"
-    assert report_texts.unit("1") == ""
+    assert report_texts.number(4e-5, 4, "m2") == "40.00"
+    assert report_texts.number(4e-5, 4) == "4.000·10⁻⁵"
     assert report_texts.half_width(AREA) == "± 0.50 %"
     wide = Estimate("a", 10.0, "1", 10.0, 2.0, 32.0, "")
     assert report_texts.half_width(wide) == "\N{MULTIPLICATION SIGN}÷ 4.0"

@@ -1,5 +1,6 @@
 """Content of the report for a refinement, a comparison and the quality of a recording."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +8,12 @@ import pytest
 from identification.report import samples
 from identification.report.samples import channel
 
+from fmus.identification.recordings.quality import prepared
 from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, MeasuredRun
 from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.refinement.statistics import SimulatedRun, Statistics, Whiteness
-from fmus.identification.report.identification_page import faults, quality, refinement
+from fmus.identification.report.identification_page import faults, refinement
 from fmus.identification.report.prediction import compare
 from fmus.identification.report.report_texts import CHECK, warnings
 from fmus.machine.one_block import HARVESTER
@@ -110,16 +112,16 @@ def test_speeds_are_compared_through_one_filter_and_flows_outside_the_dead_zone(
 
 def test_the_quality_of_a_recording():
     """Name, use, kind, rate, and the remarks by signal without its name."""
-    found = quality(machine())
-    assert (found["name"], found["use"], found["kind"]) == ("b.csv", "test", "simulation")
+    _, found = prepared(machine())
+    assert (found.name, found.use, found.kind) == ("b.csv", "test", "simulation")
     # exact identity: rounding only
-    assert found["rate"] == pytest.approx(200.0)
-    flow = next(c for c in found["channels"] if c["signal"] == "boom_stick.boom_head_flow")
-    assert flow["sensor"] == "turbine"
-    assert flow["dead"] > 0  # not a fault, so no remark
-    assert not any("dead zone" in remark for remark in flow["remarks"])
-    assert not any(remark.startswith(flow["signal"]) for remark in flow["remarks"])
-    assert found["faults"] == 0
+    assert found.rate == pytest.approx(200.0)
+    flow = next(c for c in found.channels if c.signal == "boom_stick.boom_head_flow")
+    assert flow.sensor == "turbine"
+    assert flow.dead > 0  # not a fault, so no remark
+    assert not any("dead zone" in remark for remark in flow.remarks)
+    assert not any(remark.startswith(flow.signal) for remark in flow.remarks)
+    assert found.faults() == []
 
 
 def test_the_lines_for_a_terminal():
@@ -128,7 +130,7 @@ def test_the_lines_for_a_terminal():
     faulty = channel("pressure", "Pa", "1 sample clipped.")
     recordings = [
         samples.quality("a.csv", (flow, asleep), "The clock: late."),
-        samples.quality("b.csv", (faulty, {**flow, "dead": 0.25})),
+        samples.quality("b.csv", (faulty, replace(flow, dead=0.25))),
     ]
     *reported, zones = faults(recordings)
     assert reported == ["a.csv: The clock: late.", "b.csv: pressure: 1 sample clipped."]
