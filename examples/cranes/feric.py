@@ -5,6 +5,7 @@
 The head is another one: the paper's is a point mass at the tip.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -57,14 +58,15 @@ def inline(**keys: object) -> str:
 def joint(model: JointModel) -> str:
     """The table of a joint of the arm."""
     p, turn, arm = (nested(sub.parameters, values(sub).p) for sub in (MANIPULATOR, SWING, BOOM_STICK))
-    link, of = model.link(p), turn.swing if model.motor else getattr(arm, model.name)
+    link = replace(model.link(p), **model.body(p))
+    of = turn.swing if model.motor else getattr(arm, model.name)
     if model.motor:
         part, valve, line, inertia = (
             "swing",
             turn.valve,
             of.line,
             link.inertia[2:3] * 3,
-        )  # only about z counts
+        )  # only that about z counts
         drive = {"motor": inline(displacement=of.motor_displacement, ratio=of.gear_ratio)}
     else:
         part, valve, line, inertia = "boom_stick", arm.valve, of.hose, link.inertia[:3]
