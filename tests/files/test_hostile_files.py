@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from check.good import DESCRIPTION, XML_2, Archive
 from files.damage import ENTITIES
-from files.test_damaged_files import INNER, LONGEST, MOST, START, good_system, packed, peak
+from files.test_damaged_files import INNER, LONGEST, MAPPING, MOST, START, good_system, packed, peak
 from kit import shards
 from kit.any_fmu.models import Workshop
 from kit.mistakes import problem, refused, table
@@ -446,6 +446,13 @@ def test_a_system_is_refused(old: str, new: str, message: str, gain: Path, tmp_p
     shutil.copy(gain, tmp_path / "gain.fmu")
     (tmp_path / "start.ssv").write_text(START)
     problem(lambda: load(system(tmp_path / "x.ssp", gain, (old, new))), message)
+
+
+def test_a_mapping_with_another_attribute_is_told(gain: Path, tmp_path: Path) -> None:
+    """As in a file of OMSimulator's tests: line, element, expected and got."""
+    mapping = MAPPING.replace(" target=", " destination=", 1).encode()
+    told = r"line \d+: MappingEntry: expected an attribute target, got source, destination$"
+    problem(lambda: load(system(tmp_path / "x.ssp", gain, more={"resources/names.ssm": mapping})), told)
 
 
 def test_an_unpacked_system_may_refer_to_files_beside_it(gain: Path, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 from kit.any_fmu.models import oscillation, oscillator_of
+from kit.mistakes import table
 
 from orchestrator import Coupling, Result, RunFailed, Trace, run
 from orchestrator.base.errors import Problem
@@ -19,18 +20,7 @@ from orchestrator.ssp.system import Component, System
 SYSTEM = System("s", {"a": Component("a", FmuInterface({}))})
 
 
-@pytest.mark.parametrize(
-    ("record_step", "suggested", "steps"),
-    [
-        (5e-3, 1e-3, 5),
-        (5e-3, 0.4e-3, 13),
-        (5e-3, 1.0, 5),  # at most 1 ms
-        (2.6e-3, 1.0, 3),
-        (1e-4, 1e-3, 1),
-        (3.0000000006e-4, 1e-4, 3),  # a quotient that is whole up to 1e-9 is so by rounding
-        (3.0000000012e-4 / 10, 1e-5, 4),
-    ],
-)
+@table(__file__, "first_steps", "record_step, suggested, steps")
 def test_the_first_step_divides_the_record_step(record_step, suggested, steps):
     """By the smallest whole number for which it exceeds neither the suggestion nor 1 ms."""
     assert first_step(record_step, suggested) == record_step / steps
@@ -57,23 +47,7 @@ def outcome(step, steps):
     return Result(SYSTEM, Trace(np.zeros(1), {}), Card("hermite", step, 0.1, steps, 1.0, 0.1))
 
 
-@pytest.mark.parametrize(
-    ("errors", "bound", "best", "tried"),
-    [
-        ([2e-3, 2e-4, 2e-5], 1e-4, 2, 4),
-        ([2e-3, 1e-4, 2e-5], 1e-4, 1, 3),  # at the bound
-        ([2e-3, 1.01e-4, 2e-5], 1e-4, 2, 4),
-        ([2e-3, 1e-6], 0.0, 1, 3),  # a smaller bound is not asked for
-        ([2e-3, 1.01e-6, 1e-9], 0.0, 2, 4),
-        ([2.0, 1.4, 1e-9], 0.0, 2, 4),  # 70 % of the error before it remains
-        ([2.0, 1.41, 1e-9], 0.0, 1, 3),
-        ([2.0, 2.0], 0.0, 0, 3),
-        ([2.0, 3.0], 0.0, 0, 3),
-        ([nan, 1e-3, 1e-9], 0.0, 2, 4),
-        ([nan, nan, 1e-9], 0.0, 2, 4),
-        ([], 0.0, 0, 2),  # no output changes
-    ],
-)
+@table(__file__, "best_runs", "errors, bound, best, tried")
 def test_the_best_run_is_taken(monkeypatch, errors, bound, best, tried):
     """Until the estimate meets the bound or hardly falls; each run is compared with those beside it."""
     steps, compared = [], []

@@ -4,6 +4,7 @@ from ctypes import byref, c_double
 
 import numpy as np
 import pytest
+from kit.mistakes import table
 
 from orchestrator.engine.c_library import Binding, library
 from orchestrator.engine.linear_system import ERROR_ROWS, LinearSystem
@@ -116,13 +117,7 @@ def test_the_magnitude_of_a_slope_fades_by_a_twentieth_in_a_step():
         assert p.input[0].usual_slope == pytest.approx(0.95**k, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("change", "before", "after"),
-    [
-        *((0.31, 8, 4), (0.31, 3, 1), (0.31, 2, 1), (0.31, 1, 1)),
-        *((0.29, 8, 8), (0.11, 8, 8), (0.09, 8, 16), (0.09, 10, 20), (0.09, 11, 20)),
-    ],
-)
+@table(__file__, "linearisations", "change, before, after")
 def test_linearisations_are_as_rare_as_the_system_changes(change, before, after):
     """A diagonal element that changes by three tenths of its size halves their distance, a tenth doubles it.
 

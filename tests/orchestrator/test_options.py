@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import pytest
 import typer
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 from kit.ssp import gain, ssd, system
 
 from orchestrator import Coupling, batch, linearize, reference, run
@@ -91,18 +91,7 @@ def test_an_unknown_option_is_a_type_error_with_the_nearest_name(function):
         function("none.ssp", *arguments, parametrs="reach")
 
 
-@pytest.mark.parametrize(
-    ("option", "message"),
-    [
-        ({"master": "jakobi"}, "master: expected one of jacobi, gauss-seidel, hermite, interface-jacobian"),
-        ({"error_estimate": "slow"}, "error_estimate: expected one of fast, True, False, got 'slow'"),
-        ({"stop": "2 kg"}, "stop: expected a number of seconds or a time such as 500ms or 5min, got '2 kg'"),
-        ({"order": 1.5}, "order: expected a whole number, got 1.5"),
-        ({"isolate": "no"}, "isolate: expected True or False, got 'no'"),
-        ({"memory_limit": 2e9}, "memory_limit: expected a number of GB, at most 1000000, got 2000000000.0"),
-        ({"set": "a.b=1"}, "set: expected a mapping from name to value, got 'a.b=1'"),
-    ],
-)
+@table(__file__, "wrong_values", "option, message")
 def test_a_wrong_value_is_refused_in_one_line(option, message):
     """With what is expected, before the system is read."""
     assert problem(lambda: run("none.ssp", **option)).startswith(message)

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 from kit.wait import LONG
 
 from orchestrator import Coupling, Interrupted, Master, RunFailed, read_trace, run, write_ssp
@@ -174,16 +174,7 @@ def test_the_command_ends_with_status_0(oscillator, tmp_path, capsys):
     assert read_trace(out)["a.x"][-1] < -0.5
 
 
-@pytest.mark.parametrize(
-    ("until", "message"),
-    [
-        ("a.x", "until: expected SIGNAL < NUMBER, such as arm.height < -1.5 m, got 'a.x'"),
-        ("a.y < 1", "until a.y < 1: expected one signal, got none"),
-        ("x < 1", "until x < 1: expected one signal, got a.x, b.x"),
-        ("a.x < one", "until a.x < one: expected a number behind <, got 'one'"),
-        ("a.x < 1 bar", "until a.x < 1 bar: expected a unit like m, got 'bar'"),
-    ],
-)
+@table(__file__, "no_conditions", "until, message")
 def test_what_is_no_condition_is_told(oscillator, until, message):
     """In one line, before the run."""
     assert problem(lambda: run(oscillator, until=until)).startswith(message)
