@@ -94,27 +94,12 @@ def test_the_small_fmus_of_other_tests_lack_one_function(fmus: Workshop) -> None
 
 # ---- FMUs that need Python are reported
 
-PUMP = '''"""A pump in Python."""
-import {package}
-from pythonfmu import Fmi2Causality, Fmi2Slave, Real
-
-
-class Pump(Fmi2Slave):
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        self.y = 0.0
-        self.register_variable(Real("y", causality=Fmi2Causality.output))
-
-    def do_step(self, t, h):
-        return True
-'''
-
 
 @pytest.fixture(scope="module")
 def pump(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An FMU that PythonFMU built of a script that imports numpy."""
     folder = tmp_path_factory.mktemp("pump")
-    (folder / "pump.py").write_text(PUMP.format(package="numpy"))
+    (folder / "pump.py").write_text(Path(__file__).with_name("pump.txt").read_text("utf-8"))
     command = [sys.executable, "-m", "pythonfmu", "build", "-f", "pump.py", "-d", "."]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
     return folder / "Pump.fmu"

@@ -6,7 +6,6 @@ import shutil
 import struct
 import tempfile
 import time
-import tomllib
 import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext
@@ -19,7 +18,7 @@ from files.damage import ENTITIES
 from files.test_damaged_files import INNER, LONGEST, MAPPING, MOST, START, good_system, packed, peak
 from kit import shards
 from kit.any_fmu.models import Workshop
-from kit.mistakes import problem, refused, table
+from kit.mistakes import entry, problem, refused, table
 from lxml import etree
 
 from orchestrator import load, run
@@ -363,7 +362,7 @@ DESCRIPTIONS = [
     ("<LogCategories>", "<a>" * 150 + "</a>" * 150 + "<LogCategories>", "at most 100 levels"),
     ("<LogCategories>", "<a>" * 90_000, "cannot be read as XML: Excessive depth"),
     ("<LogCategories>", "<LogCategories>" + "<a/>" * MAX_ITEMS, "a limit of this tool"),
-    *tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["descriptions"],
+    *entry(__file__, "descriptions"),
 ]
 
 

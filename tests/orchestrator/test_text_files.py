@@ -130,18 +130,11 @@ def test_lines_and_rows_that_are_stated_count(log, capsys, keys, first, told):
     assert told in capsys.readouterr().err
 
 
-LABVIEW = {
-    "No": "X_Value\tP 1\tU\tComment\n\t1,5\t-2\n\t2,5\t-3\tlever\n\t3,5\t-4\n",
-    "One": "X_Value\tP 1\tU\tComment\n0,00\t1,5\t-2\tstart\n0,02\t2,5\t-3\n0,04\t3,5\t-4\n",
-    "Multi": "X_Value\tP 1\tX_Value\tU\n0,00\t1,5\t0,00\t-2\n0,02\t2,5\t0,02\t-3\n0,04\t3,5\t0,04\t-4\n",
-}
-
-
-@pytest.mark.parametrize("columns", LABVIEW)
-def test_a_labview_file_has_times_and_units_in_its_header(columns, tmp_path):
+@table(__file__, "labview", "rows, columns")
+def test_a_labview_file_has_times_and_units_in_its_header(tmp_path, rows, columns):
     """With a column of times for each channel, for all or none; the file may have commas and points, too."""
     between = "\t" if columns == "Multi" else ""
-    text = HEADER.format(columns=columns, between=between, end=f"{between}\t") + LABVIEW[columns]
+    text = HEADER.format(columns=columns, between=between, end=f"{between}\t") + rows
     commas = text.replace(",", ".").replace("\t", ",").replace("Separator,Tab", "Separator,Comma")
     for name, content in (("tabs.lvm", text), ("commas.lvm", commas)):
         path = tmp_path / name
@@ -156,7 +149,7 @@ def test_a_labview_file_has_times_and_units_in_its_header(columns, tmp_path):
         ("X0\t", "***End_of_Header***\nX0\t", "expected one header of channels, got 2"),
     ):
         changed = HEADER.replace(old, new).format(columns=columns, between=between, end=f"{between}\t")
-        path.write_text(changed + LABVIEW[columns], encoding="utf-8")
+        path.write_text(changed + rows, encoding="utf-8")
         assert told in problem(lambda: read_trace(path))
 
 

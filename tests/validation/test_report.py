@@ -301,7 +301,7 @@ def layout_file(folder: Path, text: str) -> Path:
 
 
 def test_all_that_a_layout_holds(tmp_path: Path, trace: Trace) -> None:
-    """Title and figures with their panels come out as they were layout_file."""
+    """Title and figures with their panels come out as they were written."""
     layout = read_layout(layout_file(tmp_path, LAYOUT))
     panels = (
         PanelSpec("Angle", ("shaft.angle",)),
