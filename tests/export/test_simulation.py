@@ -75,6 +75,13 @@ def test_solver_converges_with_its_order(open_fmu, tolerance, steps, order):
     assert orders == pytest.approx([order, order], abs=0.3)
 
 
+def test_very_stiff_system_goes_straight_to_its_end(open_fmu):
+    """Rate 1e9 1/s with steps of 1 s: an L-stable method lands on the target, without ringing."""
+    fmu = open_fmu("decay").start(rate=1e9, target=3.0).step(1.0, 3)
+    # atol + rtol of the default tolerance
+    assert fmu["level"] == pytest.approx(3.0, abs=1e-5)
+
+
 # ---- inputs inside a step ----------------------------------------------------------------------------
 
 
@@ -178,3 +185,12 @@ def test_directional_derivative_refuses_what_is_no_known(open_fmu):
     refuse("force", "volume", "volume is not a known, expected an input or a state")
     expected = "an output, a derivative or a state"
     refuse("opening", "supply", f"opening is not an unknown, expected {expected}")
+
+
+def test_model_without_states_steps(open_fmu):
+    """A pure gain without states can be an FMU."""
+    fmu = open_fmu("gain").start().set(left=3.0, right=4.0)
+    fmu.slopes(left=1.0)
+    fmu.step(0.5)
+    assert fmu["product"] == 2 * 3.5 * 4.0
+    assert fmu.output_slopes("product") == [8.0]
