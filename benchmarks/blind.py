@@ -175,8 +175,7 @@ def instruments(m: Machine) -> dict[str, Sensor]:
 
     outside = m.pick(-2.0, 2.0) if m.has("zero of a pressure sensor") else 0.0
     # without a dead zone a meter also shows its zero, and what flows in the dead band
-    gear = m.has("zero of a flow meter", "dead band, sharp", "dead band, late") or m.pick(True, False)
-    noise = 0.1 if m.has("dead band, sharp", "dead band, late") else m.draw(0.2, 0.35)
+    gear, noise = m.has("zero of a flow meter") or m.pick(True, False), m.draw(0.2, 0.35)
     factors = [m.pick(0.25, 4.0) if m.has("noise") else 1.0 for _ in range(2)]
     meter = replace(flow(320.0, noise, 0.1), noise_factor=factors[1], dead_zone=0.0 if gear else 9.0)
     if m.has("zero of a flow meter"):
@@ -250,15 +249,14 @@ def edge_flow(square: Array, supply: float, throttle: float) -> tuple[Array, Arr
 
 def valve(m: Machine, folder: Path, fixed: Mapping[str, Any]) -> None:
     """Recordings of the edges of the valve; `fixed` has values in place of what is drawn."""
-    late, sharp = m.has("dead band, late"), m.has("dead band, sharp")
     groups = [(0.0, m.draw(0.06, 0.5), 1.0), (m.draw(0.2, 0.5), m.draw(0.3, 0.6), m.draw(0.0, 1.5))]
     o: dict[str, Any] = {
         "area": m.draw(22e-6, 42e-6),
-        "start": 0.9 if late else 0.7 if sharp else m.draw(0.3, 0.9),
-        "groups": [(0.0, 1e-6, 1.0)] if late or sharp else groups,
+        "start": m.draw(0.3, 0.9),
+        "groups": groups,
         "edges": ["P-A", m.pick("A-T", "P-B")],
         "supplies": [25.0, 90.0] if m.has("zero of a pressure sensor") else [m.draw(110, 210)],  # bar
-        "last": 2.0 if late else 10.0,  # V
+        "last": 10.0,  # V
     } | dict(fixed)
     rate, hold, throttle, back = 125.0, 1.0, m.draw(2e11, 4e11), 4 * BAR
     up = [x for x in STEPS if x <= o["last"]]

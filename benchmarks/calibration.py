@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fmus.machine.build import build_machine, data
+from fmus.machine.build import data, harvester
 from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS
 from orchestrator import Coupling, Problem, System, Trace, load, run
 from orchestrator.base.files import VARIANTS
@@ -148,7 +148,7 @@ def main(count: int = 500, seed: int = 1) -> None:
     stable = unstable = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        build_machine(folder)
+        harvester().write(folder)
         system = load(folder / "harvester.ssp")
 
         @cache

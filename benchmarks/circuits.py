@@ -20,7 +20,7 @@ import numpy as np
 
 from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES
-from fmus.machine.work_cycle import WORK_CYCLE
+from fmus.operator_input.work_cycle import WORK_CYCLE
 from orchestrator import Problem, Trace, linearize, load, run
 from orchestrator.base.files import VARIANTS
 

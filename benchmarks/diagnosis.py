@@ -44,6 +44,7 @@ from benchmarks.diagnosis_machines import (
 )
 from fmus.controller.harvester import ARM
 from fmus.diagnosis import findings
+from fmus.machine.parts import feric
 from fmus.machine.ssp import section_flows
 from fmus.manipulator import MANIPULATOR
 from orchestrator.results.diagnosis import INTERVAL, Diagnosis, learned_values, over
@@ -84,7 +85,10 @@ def columns_of(case: Case) -> Columns:
 
 def told(case: Case, columns: Columns, healthy: dict[str, float]) -> Diagnosis:
     """What the FMU tells."""
-    own = section_flows("diagnosis") if case.swap.get("boom_stick") == "compensated" else {}
+    own = dict[str, float]()
+    if case.swap.get("boom_stick") == "compensated":
+        machine = feric(faults=True)
+        own = section_flows(machine, machine.diagnosis)
     signals = {n: v for n, v in columns.items() if n not in ("time", "held_mass")}
     return over(FMU, columns["time"], signals, set=own | healthy)
 

@@ -38,9 +38,10 @@ from scipy.interpolate import CubicSpline
 
 from fmus.machine.parts import FAMILIES
 from orchestrator import Coupling, Problem, Trace, load, reference, run
-from orchestrator.engine import open_job
 from orchestrator.engine import run as engine_run
-from orchestrator.engine.job import Job, RunEnd
+from orchestrator.engine import simulation_loop
+from orchestrator.engine.job import Job
+from orchestrator.engine.result import RunEnd
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
@@ -155,11 +156,11 @@ class Measured:
         self._simulate = engine_run.simulate
         engine_run.simulate = self._noted
         clocks = {**vars(time), "perf_counter": time.thread_time}
-        open_job.time = SimpleNamespace(**clocks)  # type: ignore[assignment]
+        simulation_loop.time = SimpleNamespace(**clocks)  # type: ignore[assignment]
 
     def _noted(self, job: Job, *others: Any) -> RunEnd:
         end = self._simulate(job, *others)
-        (self.ends if job.execution.error_estimate else self.looks).append(end)
+        (self.ends if job.options.get("error_estimate") else self.looks).append(end)
         return end
 
 

@@ -113,7 +113,7 @@ _NAMED = (
     ("orchestrator/engine/native/error_propagation.c", "d[1] * h * h / 12.0", "d[1] * h * h / 6.0"),
     ("orchestrator/engine/native/error_propagation.c", "fourth / 720.0", "fourth / 360.0"),
     ("orchestrator/engine/native/algebraic_loop.c", "magnitude[i] = larger(p", "magnitude[i] = smaller(p"),
-    ("orchestrator/engine/open_job.py", "FIRST_FRACTION = 1e-3", "FIRST_FRACTION = 0.5"),
+    ("orchestrator/engine/simulation_loop.py", "FIRST_FRACTION = 1e-3", "FIRST_FRACTION = 0.5"),
     ("fmus/components/circuit.py", "node.cavity * chamber.cavity_volume", "chamber.cavity_volume"),
     ("orchestrator/engine/accuracy.py", "Experience(0.6,", "Experience(1.2,"),
     ("orchestrator/engine/accuracy.py", "INSIDE = 0.5", "INSIDE = 1.0"),

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from fmus.identification.procedures.valve import identify_openings
-from fmus.identification.procedures.valve_fit import offset
+from fmus.identification.procedures.valve import identify_openings, offset
 from fmus.parameters import Number
 from orchestrator.data.recording import Recording, Sensor
 
@@ -35,7 +34,6 @@ RATE, HOLD = 200.0, 1.5  # Hz, s
 UP = (*np.arange(0.25, 2.01, 0.25), *np.arange(2.5, 10.01, 0.5))  # V, the rig's staircase
 # each level twice: a step may be left out, as when equal samples at its extreme look clipped (1 in 1000)
 STEPS = (*UP, *UP[-2::-1], FULL)
-POINTS = np.arange(0.25, 10.01, 0.25)  # V, at which a band is compared with the truth
 
 KNOWN = {
     f"boom_stick.{name}": Number(value, unit, "assumed", "of the bench")
@@ -133,12 +131,13 @@ def start_of(share: Share) -> float:
 class Trial:
     """One fitted opening against the truth.
 
-    inside      share of `POINTS` at which the 95 % band holds the truth
+    inside      share of the measured commands at which the 95 % interval of the area holds the truth
     area        relative error of the area at full command
     zero        found difference of the transducers over what they are declared to have, both together
     start       whether the interval of the start holds the truth
     straight    whether a straight line was found to suffice
-    half_band   median of half the band over the truth, where a flow was measured
+    half        median of half these intervals over the truth
+    table       largest error of the table at commands between the lowest and the highest measured one
     """
 
     valve: str
@@ -148,7 +147,8 @@ class Trial:
     zero: float
     start: bool
     straight: bool
-    half_band: float
+    half: float
+    table: float
 
 
 def trials(valve: str, seed: int) -> list[Trial]:
@@ -156,22 +156,23 @@ def trials(valve: str, seed: int) -> list[Trial]:
     found = identify_openings(recordings(valve, seed), KNOWN)
     rows = []
     for name, share in VALVES[valve].items():
-        curve, true = found.curves[name], AREA * share(POINTS)
-        low, high = curve.band_at(POINTS)
-        rounding = 1e-9 * AREA
+        opening = found.openings[name]
+        true = AREA * share(opening.command)
+        low, high = (np.array([getattr(e, end) for e in opening.areas]) for end in ("low", "high"))
+        rounding, start = 1e-9 * AREA, start_of(share)
         inside = (low <= true + rounding) & (true <= high + rounding)
-        measured = curve.first_measured <= POINTS
-        ends = np.quantile(curve.start, [0.025, 0.975])
+        between = np.arange(opening.command[0], FULL, 0.05)
         rows.append(
             Trial(
                 valve=valve,
                 edge=name,
                 inside=float(inside.mean()),
-                area=float(curve.areas[-1] / true[-1] - 1),
-                zero=abs(offset(found.fit.solution)[0]) / (2 * ZERO_ERROR),
-                start=bool(ends[0] <= start_of(share) + 2e-3 and start_of(share) <= ends[1] + 2e-3),
-                straight=found.straight,
-                half_band=float(np.median((high - low)[measured] / 2 / true[measured])),
+                area=opening.full.value / float(true[-1]) - 1,
+                zero=abs(offset(found.solution)[0]) / (2 * ZERO_ERROR),
+                start=opening.start.low <= start + 2e-3 and start <= opening.start.high + 2e-3,
+                straight=found.straight is not None,
+                half=float(np.median((high - low) / 2 / true)),
+                table=float(np.max(np.abs(opening.drawn(between) / (AREA * share(between)) - 1))),
             )
         )
     return rows

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.played import Fmu
 from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
+from fmus.operator_input.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 from fmus.parameters import values
 
 FREE = (

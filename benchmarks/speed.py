@@ -1,8 +1,8 @@
 """Cost of the native FMUs and of the co-simulation: `make bench`, shorter with ARGS="--repeats 1".
 
 The work cycle, in turn by the FMUs of the parts and by harvester.fmu, which is all of them in one;
-`fmus.machine.variant_costs` says how the time inside an FMU is measured. Then the throughput of `batch` on
-two cores: one by one in two processes, and in the vector lanes of two threads.
+`orchestrator.studies.variant_costs` says how the time inside an FMU is measured. Then the throughput of
+`batch` on two cores: one by one in two processes, and in the vector lanes of two threads.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.machine.build import build_machine, data
+from fmus.machine.build import data, harvester
 from fmus.machine.parts import FERIC
-from fmus.machine.variant_costs import inside
 from orchestrator import System, batch, load, run
+from orchestrator.studies.variant_costs import inside
 
 SETTINGS = (("jacobi", 1e-3), ("gauss-seidel", 1e-3), ("gauss-seidel", 5e-3))
 WHOLE = "harvester"
@@ -89,7 +89,7 @@ def main() -> None:
     repeats = parser.parse_args().repeats
     cycle = data("scenarios/work_cycle.csv")
     with tempfile.TemporaryDirectory() as folder:
-        build_machine(Path(folder))
+        harvester().write(Path(folder))
         parts, whole = (load(Path(folder) / f"{WHOLE}.{suffix}") for suffix in ("ssp", "fmu"))
         costs = process_costs(Path(folder) / f"{WHOLE}.ssp", repeats)
         difference = costs[True] - costs[False]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.calibration import SPEEDS, TRUTH
-from fmus.machine.build import build_machine, data
+from fmus.machine.build import data, harvester
 from orchestrator import load, run
 
 ORDER = 4
@@ -50,7 +50,7 @@ def fourth_difference(y: NDArray[np.float64], k: int) -> NDArray[np.float64]:
 def main() -> None:
     """Print both tables."""
     with tempfile.TemporaryDirectory() as name:
-        build_machine(Path(name))
+        harvester().write(Path(name))
         system = load(Path(name) / "harvester.ssp")
         parts = {"swing", "boom_stick", "manipulator"}
         sources = sorted(

@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.controller.paths import COLUMNS, Point, Route, controller_inputs, sample, start_angles
+from fmus.machine.feasible import MECHANICS
 from fmus.machine.parts import MACHINES
-from fmus.machine.path_following import read_machine
-from fmus.machine.sway import head_sway, shaped
-from fmus.package_files import PACKAGE
+from fmus.machine.path_following import HARVESTER
+from fmus.machine.sway import shaped
 from orchestrator import Trace, load, run
 from orchestrator.base.signals import rms
 from orchestrator.ssp.swap import with_swaps
 
 MACHINE = Path("build/harvester_control.ssp")
-NAMES = read_machine(PACKAGE / "controller/tracking.toml")
+NAMES = HARVESTER
 KINDS: Mapping[str, Mapping[str, str]] = {
     "lumped, pendulum": {"manipulator": "pendulum"},
     "detailed": MACHINES["detailed"],
@@ -109,7 +109,7 @@ def main() -> None:
     print(f"{'':42s} unshaped     " + "  ".join(f"{w:+6.0%}" for w in WRONG) + "   change    error")
     for kind, swaps in KINDS.items():
         begin, system = time.monotonic(), with_swaps(load(MACHINE), swaps)
-        period, damping = head_sway(system.components["manipulator"]) or (0.0, 0.0)
+        period, damping = MECHANICS.sway(system.components["manipulator"]) or (0.0, 0.0)
         given = moves(args.moves, args.seed)
         for shape in ("straight", "circle"):
             chosen = [m for s, m in given if s == shape]

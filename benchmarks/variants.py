@@ -18,7 +18,7 @@ import numpy as np
 
 from fmus.contract import quantities
 from fmus.export.compile import HEADERS
-from fmus.machine.build import build_machine
+from fmus.machine.build import harvester
 from fmus.machine.parts import FAMILIES
 from orchestrator import Trace, run
 from orchestrator.base.files import VARIANTS
@@ -52,7 +52,7 @@ def main() -> None:
     """Print the table."""
     print(f"{'':<30}{'ns per 1 ms':>12}{'to the usual':>14}")
     with tempfile.TemporaryDirectory() as folder:
-        build_machine(Path(folder))
+        harvester().write(Path(folder))
         trace = run(Path(folder) / "harvester.ssp", step=STEP).trace
         for part, variants in FAMILIES.items():
             usual = 0.0

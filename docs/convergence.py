@@ -61,13 +61,13 @@ def studies() -> None:
     from machine import build
     from steps import beside_the_published, manipulator
 
-    from fmus.machine.build import build_machine, data
+    from fmus.machine.build import data, harvester
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         machine = Path(sys.argv[1]) if len(sys.argv) > 1 else folder / "harvester.ssp"
         if len(sys.argv) < 2:
-            build_machine(folder)
+            harvester().write(folder)
         usual = data("reference/work_cycle.csv")
         cycle = convergence(machine, None, folder / "cycle", STEPS, "", (), 3, usual, print_convergence)
         systems = build(folder / "manipulator")

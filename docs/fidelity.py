@@ -46,13 +46,13 @@ from fidelity_tables import (
     sensitivity,
 )
 
-from fmus.machine.build import build_machine
+from fmus.machine.build import harvester
 from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS
-from fmus.machine.variant_costs import combinations
 from orchestrator import load
 from orchestrator.pages.plotting import png
 from orchestrator.results.comparison import compare
 from orchestrator.results.comparison_report import draw
+from orchestrator.studies.variant_costs import combinations
 
 HERE = Path(__file__).parent
 DOCUMENT, IMAGES = HERE / "fidelity.md", HERE / "images"
@@ -87,7 +87,7 @@ def main() -> None:
 
 def everything(folder: Path) -> None:
     """Build, run, fill, draw."""
-    build_machine(folder)
+    harvester().write(folder)
     system = folder / "harvester.ssp"
     found = {c.name: measure(system, c) for c in (*EFFECTS, *LINES, *CAUSES, *SENSITIVITY)}
     tables(found, system)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.machine.work_cycle import WORK_CYCLE, WORK_CYCLE_STOP, Move, program
+from fmus.operator_input.work_cycle import WORK_CYCLE, WORK_CYCLE_STOP, Move, program
 from orchestrator import run
 
 SPEEDS = tuple(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick"))

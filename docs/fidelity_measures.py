@@ -10,8 +10,8 @@ import numpy as np
 
 from fmus.machine.machine import wiring
 from fmus.machine.parts import FERIC
-from fmus.machine.work_cycle import Move
 from fmus.monolith import join, simulate
+from fmus.operator_input.work_cycle import Move
 
 BAR = 1e5  # Pa
 SPLIT = 2.0  # Hz, between bumps and ripple

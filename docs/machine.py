@@ -19,7 +19,7 @@ from benchmarks.circuits import (
     table,
     usual,
 )
-from fmus.machine.build import build_machine
+from fmus.machine.build import harvester
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import complete
 from orchestrator import linearize, load, run
@@ -143,7 +143,7 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        build_machine(folder)
+        harvester().write(folder)
         picture(folder)
         fill(PAGE, "circuits", table(CIRCUITS_HEAD, circuits(folder)))
         fill(PAGE, "slewing", table(SLEWING_HEAD, slewing(folder)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from fmus.machine.build import build_machine, data
+from fmus.machine.build import data, harvester
 from orchestrator import load, run
 from orchestrator.data.recording import read_recording
 from orchestrator.pages.plotting import png
@@ -20,7 +20,7 @@ def main() -> None:
     """Run the work cycle; draw the boom against the reference."""
     layout = read_layout(data("reference/work_cycle.layout.toml"))
     with tempfile.TemporaryDirectory() as folder:
-        build_machine(Path(folder))
+        harvester().write(Path(folder))
         result = run(load(Path(folder) / "harvester.ssp"), data("scenarios/work_cycle.csv"))
     validation = validate(result.trace, read_recording(data("reference/work_cycle.csv")), rate=False)
     boom = next(figure for figure in layout.figures if figure.title == "Boom")

@@ -21,7 +21,7 @@ from fmpy.ssp.simulation import simulate_ssp
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fmus.machine.build import build_machine, data
+from fmus.machine.build import data, harvester
 
 IMAGE = Path(__file__).parent / "images" / "rate-ports.png"
 SPEEDS = tuple(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick"))
@@ -36,7 +36,7 @@ def main() -> None:
     """Run everything, draw, print."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        build_machine(folder)
+        harvester().write(folder)
         connected = folder / "harvester.ssp"
         systems = {"connected": connected, "open": without_rates(connected, folder / "held.ssp")}
         errors = {

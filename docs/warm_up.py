@@ -12,7 +12,7 @@ import numpy as np
 from convergence import fill
 from matplotlib.figure import Figure
 
-from fmus.machine.work_cycle import COMMANDS, DEFAULT, PROGRAMS, WORK_CYCLE_STOP, sample
+from fmus.operator_input.work_cycle import COMMANDS, DEFAULT, PROGRAMS, WORK_CYCLE_STOP, sample
 from orchestrator import Trace, run
 from orchestrator.pages.plotting import png
 

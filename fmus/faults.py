@@ -10,7 +10,7 @@ jumps when a size jumps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -73,6 +73,7 @@ def _leak(side: str, *parameters: str) -> Fault:
 
 
 SEAL, LEAK = "seal", "leak"  # additions
+LEVER = "_lever"  # end of the names of terminals of axes and valves
 CYLINDER_ADDITIONS: Additions = ((SEAL, PistonLeakage), (LEAK, CylinderLeaks))
 MOTOR_ADDITIONS: Additions = ((LEAK, MotorLeaks),)
 # of an axis, "{}" is its name; parameters of the swing have no name in front
@@ -136,9 +137,10 @@ OF_PART = {
 }
 
 
-def of(sub: Subsystem, axes: Sequence[str] = ()) -> dict[str, Fault]:
+def of(sub: Subsystem) -> dict[str, Fault]:
     """Faults that the parameters of a part allow, by the name of the input."""
     known = quantities(sub.parameters)
+    axes = [t.name.removesuffix(LEVER) for t in sub.terminals if t.name.endswith(LEVER)]
     some = [(pattern, axis, fault) for axis in axes for pattern, fault in OF_AXIS.items()]
     some += [(pattern, sub.component, fault) for pattern, fault in OF_PART.items()]
     found = dict[str, Fault]()
@@ -150,9 +152,9 @@ def of(sub: Subsystem, axes: Sequence[str] = ()) -> dict[str, Fault]:
     return found
 
 
-def faulty(sub: Subsystem, axes: Sequence[str] = ()) -> Subsystem:
-    """A part with its faults as inputs; axes: names of its axes or valves."""
-    faults = of(sub, axes)
+def faulty(sub: Subsystem) -> Subsystem:
+    """A part with its faults as inputs."""
+    faults = of(sub)
     if not faults:
         return sub
     declared = {

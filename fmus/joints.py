@@ -25,7 +25,7 @@ Validity: rigid links; the pins of a cylinder in the plane of its joint.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -56,13 +56,18 @@ def _nothing(*_: Any) -> dict[str, Scalar]:
     return {}
 
 
+def kinematics(joints: Sequence[JointModel], p: Any) -> Chain:
+    """The links without their masses, from the geometry alone."""
+    return Chain(tuple(j.link(p) for j in joints))
+
+
 @dataclass(frozen=True)
 class JointModel:
     """A joint with the link behind it, by functions of the parameters p.
 
     name        begin of the names of its speed, its drive and its outputs
     coordinate  name of its state, or of its output if it follows another joint
-    link        of the chain
+    link        of the chain; for the arm of a controller from the geometry alone
     damping     viscous friction [N.m.s/rad or N.s/m]
     stiffness   of a spring, which is without force at 0 [N.m/rad or N/m]; None: no spring
     motor       whether a torque drives it
@@ -74,6 +79,7 @@ class JointModel:
     contacts    names of the joint and of its piston in a law of dry friction; "": viscous friction only
     follows     whether its link follows another one
     rests       whether it starts at rest under gravity
+    body        what the link has besides, as fields of `Link`: mass, centre, inertia
     """
 
     name: str
@@ -90,6 +96,7 @@ class JointModel:
     contacts: tuple[str, str] = ("", "")
     follows: bool = False
     rests: bool = False
+    body: Callable[[Any], Mapping[str, Any]] = _nothing
 
     @property
     def driven(self) -> bool:
@@ -174,7 +181,11 @@ class Mechanics:
 
     def chain(self, p: Any) -> Chain:
         """The links under gravity."""
-        return Chain(tuple(j.link(p) for j in self.joints), self.gravity(p))
+        return Chain(tuple(replace(j.link(p), **j.body(p)) for j in self.joints), self.gravity(p))
+
+    def start(self, p: Any) -> ca.SX:
+        """Coordinates of the states in the start pose, shape (n, 1)."""
+        return ca.SX(column(*(getattr(p, f"initial_{j.coordinate}") for j in self.free)))
 
     def coordinates(self, x: Any) -> ca.SX:
         """Of the states, shape (n, 1)."""
@@ -202,10 +213,13 @@ class Mechanics:
             (m, x.held_mass),
         )
 
-    def at_rest(self, q: ca.SX, mass: Scalar, p: Any) -> ca.SX:
-        """Coordinates with the joints that rest in balance, under a payload [kg]."""
+    def at_rest(self, q: ca.SX, mass: Scalar, p: Any, swinging: Sequence[int] = ()) -> ca.SX:
+        """Coordinates of the joints with those that rest in balance, under a payload [kg].
+
+        swinging   joints that do not start at rest, but are to be in balance, too
+        """
         springs = {k: j.stiffness(p) for k, j in enumerate(self.joints) if j.stiffness}
-        resting = [k for k, j in enumerate(self.joints) if j.rests]
+        resting = [k for k, j in enumerate(self.joints) if j.rests or k in swinging]
         return self.chain(p).at_rest(q, resting, self.payload(mass, p), springs) if resting else q
 
     def transmission(self, name: str, q: Scalar, p: Any) -> Transmission:
@@ -349,8 +363,7 @@ class Mechanics:
 
         A payload that the input has at the start is held from the start.
         """
-        q = column(*(getattr(p, f"initial_{j.coordinate}") for j in self.free))
-        q = self.at_rest(q, u.payload_mass, p)
+        q = self.at_rest(self.start(p), u.payload_mass, p)
         return {**{j.coordinate: q[k] for k, j in enumerate(self.free)}, "held_mass": u.payload_mass}
 
     def require(self, x: Any, _: Any, p: Any) -> dict[str, Scalar]:

@@ -37,22 +37,6 @@ def oil_temperature(text: str, held: bool = False, optional: str = "") -> Quanti
     return replace(known, held=held, optional=optional)
 
 
-class Commands(Group):
-    """Commands to the valves."""
-
-    swing_command: Scalar = Quantity("V", "Command to the swing valve, positive turns left", 10.0)
-    boom_command: Scalar = Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
-    stick_command: Scalar = Quantity("V", "Command to the stick valve, positive folds the stick in", 10.0)
-
-
-class CommandOutputs(Commands):
-    """Commands to the valves and their exact time derivatives."""
-
-    swing_command_rate: Scalar = rate_output("swing_command", "V/s", 10.0)
-    boom_command_rate: Scalar = rate_output("boom_command", "V/s", 10.0)
-    stick_command_rate: Scalar = rate_output("stick_command", "V/s", 10.0)
-
-
 class LineInputs(Group):
     """Pressures of the lines to a drive; the rate inputs are exact time derivatives."""
 

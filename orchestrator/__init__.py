@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from orchestrator.data.recording import Recording, read_recording
     from orchestrator.data.trace import Trace, read_trace
     from orchestrator.data.trace_writer import write_trace
-    from orchestrator.engine.job import Execution, Record
     from orchestrator.engine.result import Card, Interrupted, Result, RunFailed
     from orchestrator.engine.run import run
     from orchestrator.lanes import BatchResult, batch
@@ -51,7 +50,6 @@ _MODULES = {
     "data.recording": "Recording read_recording",
     "data.trace": "Trace read_trace",
     "data.trace_writer": "write_trace",
-    "engine.job": "Execution Record",
     "engine.result": "Card Interrupted Result RunFailed",
     "engine.run": "run",
     "lanes": "BatchResult batch",
@@ -71,8 +69,8 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 __all__ = [
-    "BatchResult", "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Master",
-    "Problem", "Record", "Recording", "Result", "RunFailed", "Study", "System", "Trace", "Validation",
+    "BatchResult", "Card", "Coupling", "Interrupted", "Linear", "LinearModel", "Master",
+    "Problem", "Recording", "Result", "RunFailed", "Study", "System", "Trace", "Validation",
     "assemble", "batch", "compare", "linearize", "load", "read_recording", "read_study", "read_trace",
     "reference", "run", "sweep", "validate", "with_swaps", "write_ssp", "write_trace",
 ]  # fmt: skip

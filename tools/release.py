@@ -161,10 +161,16 @@ def _zip() -> None:
 
 def read_me(release: str) -> str:
     """The README of the zip."""
-    from fmus.machine.ssp import HELD, UNPOWERED, connection_list
+    from fmus.machine.build import HELD, UNPOWERED
+    from fmus.machine.parts import FERIC
+    from fmus.machine.ssp import wired_ports
 
     held = textwrap.fill(HELD, 110)
-    return READ_ME.format(version=release, connections=connection_list(), held=held, unpowered=UNPOWERED)
+    wired = "\n".join(
+        f"  {source}.{output} to {target}.{name}{rate and ', rate port '}{rate}"
+        for source, output, target, name, rate in wired_ports(FERIC)
+    )
+    return READ_ME.format(version=release, connections=wired, held=held, unpowered=UNPOWERED)
 
 
 def _members(release: str) -> Iterator[tuple[str, bytes]]:

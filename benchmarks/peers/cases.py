@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.peers import manipulator, oscillator, others
 from benchmarks.peers.ssp import wires, without_rates
-from fmus.machine.build import build_machine, data
+from fmus.machine.build import data, harvester
 from orchestrator import reference
 
 SPEEDS = tuple(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick"))
@@ -89,14 +89,14 @@ def cases(folder: Path, foreign: Path | None = None, chosen: Collection[str] = (
 
 
 def _wired(folder: Path) -> Case:
-    build_machine(folder)
+    harvester().write(folder)
     title = f"Work cycle, {WORST} joint speed"
     return Case("wired", title, folder / "harvester.ssp", STOP, SPEEDS, _work_cycle, 0.04)
 
 
 def _cut(folder: Path) -> Case:
     if not (folder / "harvester.ssp").exists():
-        build_machine(folder)
+        harvester().write(folder)
     system = without_rates(folder / "harvester.ssp", folder / "cut.ssp")
     title = f"Work cycle without rate wires, {WORST} joint speed"
     return Case("cut", title, system, STOP, SPEEDS, _work_cycle, 0.04)

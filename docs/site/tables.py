@@ -74,7 +74,7 @@ def _usual(p: Any) -> str:
 
 def _subsystems() -> list[Any]:
     from fmus.machine.parts import FAMILIES
-    from fmus.operator_input.model import OPERATOR
+    from fmus.operator_input import OPERATOR
 
     return [*(sub for family in FAMILIES.values() for sub in family.values()), OPERATOR]
 

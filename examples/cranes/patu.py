@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fmus.crane.description import read
-from fmus.crane.machine import build_crane
+from fmus.crane.machine import crane_build
 from orchestrator import Result, run
 
 Array = NDArray[np.float64]
@@ -117,7 +117,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="The crane PATU 655 compared with its measurement.")
     parser.add_argument("folder", type=Path, help="downloaded folder of github.com/qkhadim22/DeepMechDyn")
     folder, fmu = parser.parse_args().folder, Path("build/patu/patu.fmu")
-    build_crane(read(Path(__file__).with_name("patu.toml")), fmu.parent)
+    crane_build(read(Path(__file__).with_name("patu.toml"))).write(fmu.parent)
     measured = with_forces({n: np.interp(TIMES, *curve(folder, n, MEASURED)) for n in LIMITS})
     theirs = with_forces({n: np.interp(TIMES, *curve(folder, n, SIMULATED)) for n in ROWS})
     ours = simulate(fmu, measured)

@@ -13,11 +13,11 @@ from pathlib import Path
 
 from fmus.contract import Subsystem, quantities
 from fmus.machine.parts import FAMILIES
-from fmus.machine.variant_costs import inside
 from orchestrator import Problem, compare, load, run, with_swaps
 from orchestrator.base.text import percentage
 from orchestrator.results.comparison import Comparison
 from orchestrator.results.comparison_report import write
+from orchestrator.studies.variant_costs import inside
 
 KINDS = ("speed", "angle", "pressure")  # joint speeds and angles [rad/s, rad], all pressures
 TIMED = 4.0  # s of the work cycle that the cost inside the FMU is measured on

@@ -30,31 +30,12 @@ import casadi as ca
 from fmus.contract import Scalar
 from fmus.controller import valve
 from fmus.controller.arm import ControlledAxis
-from fmus.controller.learning import SIDES, Lesson, Wanted, lesson
+from fmus.controller.learning import SIDES, Lesson, Motion, Wanted, lesson
 from fmus.controller.valve import Actuator
 from fmus.smooth import direction, ramp
 
 BEND = 0.05  # 1/s: acceleration over speed limit below which a motion counts as steady
 LARGEST_RATE = 2.0  # 1/s: bound of h', far above any rate that a wrong parameter value causes
-
-
-@dataclass(frozen=True)
-class Motion:
-    """What the reference asks of an actuator [m, rad].
-
-    speed, acceleration   of the reference without its returns to the machine
-    rate                  of the reference, with them
-    error                 e
-    inertia               m [kg, kg.m2]
-    force                 F_a [N, N.m]
-    """
-
-    speed: Scalar
-    acceleration: Scalar
-    rate: Scalar
-    error: Scalar
-    inertia: Scalar
-    force: Scalar
 
 
 @dataclass(frozen=True)
@@ -123,11 +104,11 @@ def actuator_command(
     volt = (full[0] + full[1]) / 2 / (a.valve.full_command - a.valve.dead_band)  # speed per volt
     rate = (integral_gain * error - excess / p.unwinding_time) * weight
     beyond_limit = ramp(gain - limit, limit / 10) - ramp(-gain - limit, limit / 10)
-    wanted = Wanted(speed, motion.rate, commanded, opening, up * down, volt, motion.force)
+    wanted, spare = Wanted(speed, commanded, opening, up * down, volt), valve.spare_forces(a, load, *lines)
     return ActuatorCommand(
         command=valve.command(a.valve, possible, p.foot_share, (dead_bands[0], dead_bands[1])),
         gain_rate=rate / ca.sqrt(1 + (rate / LARGEST_RATE) ** 2) - beyond_limit / p.unwinding_time,
         load_rate=oscillation / load_time,
         missing=error * weight * speed / volt * direction(change, BEND * getattr(p, f"{name}_speed_limit")),
-        lesson=lesson(axis, a, wanted, error, oscillation, valve.spare_forces(a, load, *lines), x, p),
+        lesson=lesson(axis, a, motion, wanted, oscillation, spare, x, p),
     )

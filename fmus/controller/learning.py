@@ -51,25 +51,40 @@ SATURATED = 0.9  # opening from which on nothing is learned
 
 
 @dataclass(frozen=True)
+class Motion:
+    """What the reference asks of an actuator [m, rad].
+
+    speed, acceleration   of the reference without its returns to the machine
+    rate                  of the reference, with them
+    error                 e
+    inertia               m [kg, kg.m2]
+    force                 F_a [N, N.m]
+    """
+
+    speed: Scalar
+    acceleration: Scalar
+    rate: Scalar
+    error: Scalar
+    inertia: Scalar
+    force: Scalar
+
+
+@dataclass(frozen=True)
 class Wanted:
     """What the controller asks of a valve.
 
     speed       v_ref [m/s, rad/s]
-    reference   speed of the reference [m/s, rad/s]
     commanded   v [m/s, rad/s]
     opening     for it, not limited [1]
     margin      G_+ G_-, 1 if the supply carries the load
     volt        dv/dV beyond the dead band [m/(s.V), rad/(s.V)]
-    force       F_a, which accelerates the load along the reference [N, N.m]
     """
 
     speed: Scalar
-    reference: Scalar
     commanded: Scalar
     opening: Scalar
     margin: Scalar
     volt: Scalar
-    force: Scalar
 
 
 @dataclass(frozen=True)
@@ -87,8 +102,8 @@ class Lesson:
 def lesson(
     axis: ControlledAxis,
     a: Actuator,
+    motion: Motion,
     wanted: Wanted,
-    error: Scalar,
     oscillation: Scalar,
     spare: tuple[Scalar, Scalar],
     x: Any,
@@ -96,7 +111,6 @@ def lesson(
 ) -> Lesson:
     """The equations above up to r_b and w.
 
-    error         e [m, rad]
     oscillation   F - F_load - F_a [N, N.m]
     spare         S [N, N.m] extending and retracting
     """
@@ -107,7 +121,7 @@ def lesson(
     sign = ca.if_else(ahead, 1, -1)
     force = ca.if_else(a.section_flows[0] > 0, 0, oscillation)
     moved = late * (1 - force * sign / (2 * ca.if_else(ahead, *spare)))
-    excess = ((oscillation + wanted.force) / a.stiffness - error - shift) / p.learning_filter_time
+    excess = ((oscillation + motion.force) / a.stiffness - motion.error - shift) / p.learning_filter_time
     late_rate = (wanted.commanded - late) / (p.amplifier_time + p.learning_lag)
     residual = excess / wanted.volt * sign
     lag = late_rate / wanted.volt * p.learning_lag / NOISE
@@ -118,7 +132,7 @@ def lesson(
     return Lesson(
         rates={
             f"{name}_late_command": late_rate,
-            f"{name}_oil_shift": moved - wanted.reference - oscillation / a.stiffness / load_time + excess,
+            f"{name}_oil_shift": moved - motion.rate - oscillation / a.stiffness / load_time + excess,
         },
         residual=residual / (1 + (residual / LARGEST) ** 2),
         weight=weight / (1 + lag**2),

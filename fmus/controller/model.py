@@ -13,7 +13,7 @@ the levers: a positive one turns left, raises the boom, extends the stick cylind
 Errors are reference minus machine. Values that the machine has, too, are those of its subsystems.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,15 +23,15 @@ import casadi as ca
 from fmus import ports
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Scalar, Subsystem, quantities, symbolic
-from fmus.controller.actuator import ActuatorCommand, Motion, actuator_command
-from fmus.controller.arm import Arm, ControlledAxis, distance
+from fmus.controller.actuator import ActuatorCommand, actuator_command
+from fmus.controller.arm import Arm, ControlledAxis, distance, names_in
 from fmus.controller.gains import gains
 from fmus.controller.harvester import ARM
-from fmus.controller.learning import learned_rates
+from fmus.controller.learning import Motion, learned_rates
 from fmus.controller.play import Compensation, beyond_limits, learned_rate
 from fmus.controller.reference import Reference, engaged, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
-from fmus.controller.variables import inputs, outputs, parameters, states
+from fmus.controller.variables import LEARNED, Lines, inputs, outputs, parameters, states
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Number, Tables, numbers, read, values
 from fmus.swing import SWING
@@ -39,7 +39,6 @@ from fmus.swing import SWING
 GAINS = tuple(quantities(gains(ARM.axes)))
 FILE = Path(__file__).with_name("parameters.toml")
 LEAST_SUPPLY = 1e5  # Pa: keeps the use of the supply pressure finite
-LEARNED = ("dead_band_up", "dead_band_down", "flow_up", "flow_down", "half_width")
 LEVERS = {
     "radial_lever": "radial_velocity",
     "vertical_lever": "vertical_velocity",
@@ -149,7 +148,7 @@ class Controller:
             play = self._compensation(a, x, p)
             spool, half_width = (rates[f"{a.name}_{n}"] for n in ("spool", "half_width"))
             found[f"{a.name}_command"] = play.command
-            found |= {n: getattr(x, n) for n in (f"{a.name}_{k}" for k in LEARNED)}
+            found |= {n: getattr(x, n) for n in (f"{a.name}_{k}" for k in (*LEARNED, "half_width"))}
             found[f"{a.name}_command_rate"] = play.command_rate(spool, half_width, rates["coordination"])
         return self.outputs(
             **found,
@@ -185,55 +184,46 @@ class Controller:
                 own = getattr(p, a.name)
                 found[f"{a.name}_rod is thinner than {a.name}_bore"] = own.bore - own.rod
                 found[f"stroke_margin is below half of {a.name}_stroke"] = own.stroke / 2 - p.stroke_margin
-            valve, of = self.arm.valve(a, p), f"{a.valve}valve"
-            found[f"{of}_full_command exceeds {of}_dead_band"] = valve.full_command - valve.dead_band
+            valve, named = (self.arm.valve(a, of) for of in (p, names_in(p)))
+            found[f"{named.full_command} exceeds {named.dead_band}"] = valve.full_command - valve.dead_band
         return found
 
 
-def controller_tables(swing: Subsystem, boom_stick: Subsystem, manipulator: Subsystem) -> Tables:
-    """Parameter and start values of the controller for a machine built from these subsystems."""
-    of_boom_stick, of_swing, of_manipulator = numbers(boom_stick), numbers(swing), numbers(manipulator)
-    own, poses = read(FILE)["parameters"], of_manipulator["parameters"]
-    declared = quantities(parameters(ARM))
-    known: dict[str, Number] = {}  # of what several parts have, the manipulator's counts first
-    for component, numbers_of in (
-        ("swing", of_swing),
-        ("boom_stick", of_boom_stick),
-        ("manipulator", of_manipulator),
-    ):
-        known |= {n: _noted(number, component) for n, number in numbers_of["parameters"].items()}
-    known |= {f"swing_{n}": _noted(number, "swing") for n, number in of_swing["parameters"].items()}
-    nominal = (n for n in declared if n.startswith("nominal_"))  # start values of boom_stick
-    known |= {n: _noted(of_boom_stick["start"][n.removeprefix("nominal_")], "boom_stick") for n in nominal}
-    found = {n: (known | own)[n] for n in declared}
-    angles = (a.coordinate[0] for a in ARM.axes)
-    start = {n: _noted(poses[f"initial_{n}"], "manipulator") for n in angles}
-    start |= {
-        n: _noted(of_boom_stick["start"][n], "boom_stick") for n in ("supply_pressure", "tank_pressure")
-    }
-    pressures = start_pressures(swing) | start_pressures(boom_stick)
-    at_rest = "pressure at rest in the nominal pose"
-    start |= {n: Number(value, "Pa", "derived", at_rest) for n, value in pressures.items()}
-    return {"parameters": found, "start": start}
+def controller_tables(arm: Arm, parts: Sequence[Subsystem], own: Mapping[str, Number]) -> Tables:
+    """Parameter and start values of the controller for a machine built from these subsystems.
+
+    parts   of what several have, the last one's counts; each is also known with the part in front
+    own     numbers of the parameters that no part has
+    """
+    known, start = dict(own), dict[str, Number]()
+    lines, pressures = quantities(Lines), dict[str, float]()
+    for sub in parts:
+        given = {k: {n: _noted(x, sub) for n, x in table.items()} for k, table in numbers(sub).items()}
+        known |= given["parameters"] | {f"nominal_{n}": x for n, x in given["start"].items()}
+        known |= {f"{sub.component}_{n}": x for n, x in given["parameters"].items()}
+        start |= {n: x for n, x in given["start"].items() if n in lines}
+        pressures |= start_pressures(arm, sub)
+    start |= {n: known[f"initial_{n}"] for n in (a.coordinate[0] for a in arm.axes)}
+    start |= {n: Number(x, "Pa", "derived", "pressure at rest at the start") for n, x in pressures.items()}
+    return {"parameters": {n: known[n] for n in quantities(parameters(arm))}, "start": start}
 
 
-def start_pressures(
-    sub: Subsystem, inputs: Mapping[str, float] | None = None, arm: Arm = ARM
-) -> dict[str, float]:
+def start_pressures(arm: Arm, sub: Subsystem, inputs: Mapping[str, float] | None = None) -> dict[str, float]:
     """Initial pressures of a drive that are inputs of the controller, rounded to nine digits.
 
     inputs   values by name that replace start values of the drive's inputs
     """
-    v = values(sub)
+    v, pressures = values(sub), {name for a in arm.axes for name, _ in a.sides}
+    if pressures.isdisjoint(v.x):
+        return {}
     u = {**v.u, **(inputs or {})}
     x = symbolic(sub).initial()(*(list(group.values()) for group in (v.x, u, v.p))).full()[:, 0]
-    pressures = {name for a in arm.axes for name, _ in a.sides}
     return {n: float(f"{a:.9g}") for n, a in zip(v.x, x, strict=True) if n in pressures}
 
 
-def _noted(number: Number, component: str) -> Number:
+def _noted(number: Number, sub: Subsystem) -> Number:
     """The same value, with the component in its note."""
-    return replace(number, note=f"{number.note} (as in {component})")
+    return replace(number, note=f"{number.note} (as in {sub.component})")
 
 
 def controller_of(arm: Arm, found: Tables) -> Subsystem:
@@ -265,7 +255,8 @@ def controller(
     swing: Subsystem = SWING, boom_stick: Subsystem = BOOM_STICK, manipulator: Subsystem = MANIPULATOR
 ) -> Subsystem:
     """The controller of a machine built from these subsystems, with their parameter values."""
-    return controller_of(ARM, controller_tables(swing, boom_stick, manipulator))
+    parts = (swing, boom_stick, manipulator)
+    return controller_of(ARM, controller_tables(ARM, parts, read(FILE)["parameters"]))
 
 
 CONTROLLER = controller()

@@ -9,7 +9,7 @@ the command line.
 
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.controller.harvester import arm_angles
-from fmus.manipulator import MANIPULATOR
+from fmus.contract import Subsystem, nested
+from fmus.controller.arm import Arm
+from fmus.controller.model import CONTROLLER
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_columns
@@ -209,40 +210,39 @@ def _point(text: str) -> Point:
     return x, y, z
 
 
-Pose = Callable[[tuple[float, float, float], Mapping[str, float]], dict[str, float]]
-
-
 def route_start_angles(
-    texts: Sequence[str], arm: Mapping[str, float], pose: Pose | None = None
+    texts: Sequence[str], given: Mapping[str, float], controller: Subsystem = CONTROLLER
 ) -> dict[str, float]:
     """`start_angles` for the first of the points 'x,y,z' [m]; raises Problem if one is out of reach."""
-    tips = ((text, start(Route((_point(text),)))) for text in texts)
-    angles = [start_angles(f"--through {text}", tip, arm, pose) for text, tip in tips]
-    return angles[0]
+    first, *others = [(f"--through {text}", start(Route((_point(text),)))) for text in texts]
+    for label, tip in others:
+        start_angles(label, tip, given, controller, ends=False)
+    return start_angles(*first, given, controller)
 
 
 def start_angles(
-    label: str, tip: tuple[float, float, float], arm: Mapping[str, float], pose: Pose | None = None
+    label: str,
+    tip: tuple[float, float, float],
+    given: Mapping[str, float],
+    controller: Subsystem = CONTROLLER,
+    ends: bool = True,
 ) -> dict[str, float]:
-    """Start angles [rad] for a position of the tip, by `component.variable`.
+    """Start values of the manipulator with the tip at a place, by `component.variable`.
 
-    label   first words of the message if the arm cannot reach the position
-    tip     (radius, height, angle) [m, m, rad]
-    arm     parameters of the manipulator that replace those of the rigid one
-    pose    these values from tip and arm, of another machine
+    label        first words of the message if the arm cannot reach the position
+    tip          (radius, height, angle) [m, m, rad]
+    given        parameters of the manipulator that replace those of the controller
+    controller   of the machine
+    ends         whether the strokes have to reach there, or the links alone
     """
+    arm: Arm = controller.model.arm
+    v, names = values(controller), [a.coordinate[0] for a in arm.axes]
+    p = nested(controller.parameters, {n: given.get(n, x) for n, x in v.p.items()})
     try:
-        return (pose or _pose)(tip, arm)
+        found = arm.pose(tip, [given.get(f"initial_{n}", v.u[n]) for n in names], p, ends)
     except Problem as error:
         raise Problem(f"{label}: {error}") from None
-
-
-def _pose(tip: tuple[float, float, float], arm: Mapping[str, float]) -> dict[str, float]:
-    """Of the harvester."""
-    radius, height, angle = tip
-    boom, stick = arm_angles(radius, height, {**values(MANIPULATOR).p, **arm})
-    angles = {"swing": angle, "boom": boom, "stick": stick}
-    return {f"manipulator.initial_{joint}_angle": value for joint, value in angles.items()}
+    return {f"manipulator.initial_{n}": x for n, x in zip(names, found, strict=True)}
 
 
 if __name__ == "__main__":

@@ -129,15 +129,9 @@ def outputs(axes: Axes) -> type[Any]:
         for a in axes
     }
     commands |= {f"{a.name}_command_rate": rate_output(f"{a.name}_command", "V/s", 10.0) for a in axes}
-    commands |= {
-        f"{a.name}_{n}": Quantity(unit, text.format(a.name), 0.1)
-        for a in axes
-        for n, (text, unit) in LEARNED.items()
-    }
-    commands |= {
-        f"{a.name}_half_width": Quantity("V", f"Learned half width of the play of the {a.name} valve", 0.1)
-        for a in axes
-    }
+    known = quantities(states(axes))
+    learned = (*(f"{a.name}_{n}" for a in axes for n in LEARNED), *(f"{a.name}_half_width" for a in axes))
+    commands |= {n: known[n] for n in learned}
     return make_group("ControllerOutputs", quantities(Indicators), make_group("Commands", commands))
 
 

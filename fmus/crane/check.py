@@ -29,7 +29,7 @@ from matplotlib.figure import Figure
 from scipy.optimize import brentq
 
 from fmus.components.cylinder import areas, volumes
-from fmus.contract import Subsystem, nested, quantities, symbolic
+from fmus.contract import nested
 from fmus.crane.description import (
     DEFAULT,
     DRIVES,
@@ -41,6 +41,7 @@ from fmus.crane.description import (
 )
 from fmus.crane.manipulator import contacts, manipulator
 from fmus.joints import Mechanics
+from fmus.machine.poses import outputs_at_start
 from fmus.parameters import Number, values
 from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable
@@ -75,10 +76,9 @@ class Start:
     def of(cls, crane: CraneDescription) -> Start:
         """The start of a crane."""
         sub = manipulator(crane)
-        p, of = values(sub).p, sub.model
-        return cls(
-            of, nested(of.parameters, p), ca.SX(ca.DM([p[f"initial_{j.coordinate}"] for j in of.free]))
-        )
+        of = sub.model
+        p = nested(of.parameters, values(sub).p)
+        return cls(of, p, of.start(p))
 
     def inertia(self, joint: JointDescription) -> float:
         """M_ii [kg.m2 or kg] without payload."""
@@ -237,14 +237,6 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
     if mistakes:
         raise Mistakes(mistakes)
     return found
-
-
-def outputs_at_start(sub: Subsystem, payload: float = 0.0) -> Mapping[str, float]:
-    """Outputs of a manipulator at its start pose with a payload [kg]."""
-    model, v = symbolic(sub), values(sub)
-    u, p = list({**v.u, "payload_mass": payload}.values()), list(v.p.values())
-    y = model.function()(model.initial()(list(v.x.values()), u, p), u, p)[1].full()[:, 0]
-    return dict(zip(quantities(sub.outputs), map(float, y), strict=True))
 
 
 def _axis(

@@ -8,76 +8,65 @@ or follow from those that it has (`_settings`, `_sized`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from keyword import kwlist
 from pathlib import Path
 from typing import Any
 
-from fmus import boom_stick, ports, swing
+from fmus import boom_stick, swing
 from fmus import supply as supplies
 from fmus.components.additions import CushionWithoutColumn
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
-from fmus.contract import Quantity, Subsystem, family, make_group, nested, quantities
-from fmus.controller.paths import Pose
-from fmus.crane.check import outputs_at_start
-from fmus.crane.controller import controlled, controller, hanging_sway, start_pose
+from fmus.contract import Quantity, Subsystem, family, nested, quantities
+from fmus.crane.controller import controlled, controller
 from fmus.crane.description import ADDITIONS, NEW, OF_SUPPLY, CraneDescription, JointDescription, read
 from fmus.crane.manipulator import NAME, Dry, manipulator
 from fmus.crane.view import page_files
-from fmus.diagnosis import diagnosis
 from fmus.drives import cylinder, motor
-from fmus.drives.compensated import COMPENSATED
 from fmus.drives.cylinder import CYLINDER
-from fmus.drives.detailed import detailed, needed
-from fmus.drives.drive import Axis, Fidelity, part
-from fmus.drives.lumped import LUMPED
+from fmus.drives.detailed import needed
+from fmus.drives.drive import Axis, part
 from fmus.drives.motor import MOTOR
-from fmus.drives.quasistatic import QUASISTATIC
-from fmus.export.build import build_all
-from fmus.faults import CYLINDER_ADDITIONS, MOTOR_ADDITIONS, faulty
-from fmus.machine import ssp
+from fmus.drives.variants import fidelity
+from fmus.faults import CYLINDER_ADDITIONS, MOTOR_ADDITIONS
+from fmus.machine.build import Build, with_values
 from fmus.machine.feasible import Mechanics
-from fmus.machine.machine import Machine
+from fmus.machine.machine import Machine, with_faults
 from fmus.machine.one_block import one_block
 from fmus.machine.path_following import TrackedMachine
-from fmus.operator_input.model import AXES, OperatorOutputs, operator
-from fmus.package_files import SUBFOLDERS
+from fmus.machine.poses import outputs_at_start
+from fmus.machine.ssp import CONTROLLED, SENSED, SystemPlan
+from fmus.operator_input.model import AXES, operator
+from fmus.operator_input.work_cycle import Move, Stem, with_program
 from fmus.parameters import Number, numbers, parameters
-from fmus.sensors import sensors
 from fmus.supply import SUPPLY, supply
 from fmus.valve_actuation import actuation
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import VARIANTS
 from orchestrator.base.text import MODELICA
 from orchestrator.check.rules.variables import C
 from orchestrator.ssp.system import System
 
-FIDELITIES: Mapping[str, tuple[Fidelity, str, str]] = {
-    "lumped": (
-        LUMPED,
-        "spool valves, hoses, cylinders and motors",
-        "below the first mode of the longest hose",
-    ),
-    "quasistatic": (QUASISTATIC, "without line dynamics", "motions below about 10 Hz"),
+FIDELITIES = {  # variant of the drives -> text and range of validity
+    "lumped": ("spool valves, hoses, cylinders and motors", "below the first mode of the longest hose"),
+    "quasistatic": ("without line dynamics", "motions below about 10 Hz"),
     "detailed": (
-        detailed(lambda _: 1),
         "spool dynamics, lines, air, relief valves",
         "modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
     ),
     "compensated": (
-        COMPENSATED,
         "compensated sections, counterbalance valves, crossover reliefs and holding brakes",
         "motions below about 10 Hz; no spool dynamics",
     ),
 }
 OIL_COLUMNS = ("lumped", "detailed")  # whose lines a cushion needs
 RENAMED = {"line_length": "hose_length", "line_bore": "hose_bore"}  # lines of a motor
-STEP, STOP = 1e-3, 20.0  # communication step and stop time of the system [s]
-FIRST, APART = 1.0, 2.5  # s: begin of the first stroke of the program, and between two joints
-STROKE = {"command": 3.0, "rise": 0.5, "hold": 0.5, "fall": 0.5}  # V, s; the next one goes back
+STOP = 20.0  # stop time of the systems [s]
+FIRST, APART = 1.0, 2.5  # s: begin of the first stroke of the program, and from one to the next
+STROKE, RAMPS = 3.0, (0.5, 0.5, 0.5)  # V; s, rise, hold and fall; the next one goes back
 HELD = 1e6  # s, for which a payload of the description is held
 SOURCE = "crane.toml"  # the description, in the resources of a system
 SETTINGS = (  # that the paper's machine has as multiples of its supply pressure
@@ -94,27 +83,20 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     for name in names:
         joints = [j for j in crane.driven if j.part == name]
         made = {v: drives(crane, name, joints, pose, v, faults) for v in FIDELITIES}
-        of_part, names_of = family(name, **made), [j.name for j in joints]
-        parts = {name: {v: faulty(s, names_of) if faults else s for v, s in of_part.items()}, **parts}
+        parts = {name: family(name, **made), **parts}
     added = {
         n: a for n, a in OF_SUPPLY.items() if f"{n}_{next(iter(quantities(a)))}" in crane.numbers["supply"]
     }
     supplies = {v: with_pressures(sub, crane) for v, sub in supply(names, additions=added).items()}
-    supplies = {v: faulty(sub) if faults else sub for v, sub in supplies.items()}
-    machine = Machine(parts=parts, supplies={"supply": supplies}, operator=_operator(crane))
-    try:
+    machine = Machine(crane.file.stem, parts, {"supply": supplies}, _operator(crane))
+    moved: tuple[JointDescription, ...] = ()
+    with suppress(Problem):  # the arm is none that a controller knows
         moved = controlled(crane)
-    except Problem:
-        return machine  # the arm is none that a controller knows
-    levers = {j.name: (motor.SENSE if j.drive == "motor" else cylinder.SENSE, j.part) for j in moved}
-    head = actuation(levers, conditions=faults)
-    head = faulty(head, [*levers]) if faults else head
-    machine = replace(machine, controller=controller(crane, machine), actuation=head)
-    if not faults or machine.controller is None:
-        return machine
-    arm, shown = machine.controller.model.arm, numbers(machine.controller)["parameters"]
-    found = diagnosis(arm, shown, machine.subsystems[NAME])
-    return replace(machine, sensors=sensors(machine.measured), diagnosis=found)
+    if moved:
+        levers = {j.name: (motor.SENSE if j.drive == "motor" else cylinder.SENSE, j.part) for j in moved}
+        head = actuation(levers, conditions=faults)
+        machine = replace(machine, controller=controller(crane, machine), actuation=head)
+    return with_faults(machine) if faults else machine
 
 
 @cache
@@ -122,8 +104,8 @@ def taken() -> dict[str, str]:
     """Words that are no names of joints -> why: other names begin with them, or a language has them."""
     crane = read(NEW)
     m = crane_machine(crane, faults=True)
-    drivers = filter(None, (m.operator, m.controller, m.actuation, m.sensors, m.diagnosis))
-    subs = [*(sub for family in m.families.values() for sub in family.values()), *drivers]
+    variants = [sub for family in m.families.values() for sub in family.values()]
+    subs = [*variants, *m.components.values(), *m.drivers]
     names = [n for s in subs for g in (s.parameters, s.states, s.inputs, s.outputs) for n in quantities(g)]
     names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))] + [*quantities(Dry)]
     joints = {*AXES, *(j.name for j in crane.joints)}  # and the axes of the paper's machine
@@ -158,11 +140,11 @@ def drives(
         known = {**ADDITIONS, **({} if variant in OIL_COLUMNS else {"cushion": CushionWithoutColumn})}
         own = [(n, known[n]) for n in j.additions]
         axes.append(Axis(j.name, kind, moved, own_valve=True, additions=(*added, *own)))
-    of, (fidelity, text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
+    of, (text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
     if variant not in OIL_COLUMNS and any("cushion" in j.additions for j in joints):
         validity += "; no cushions"
     make = partial(part, name, axes, text=f"Hydraulic drives of {of}: {text}", validity=validity)
-    sub = make(fidelity)
+    sub = make(of_variant := fidelity(variant))
     of_swing, of_arm = swing.VARIANTS[variant], boom_stick.VARIANTS[variant]
     common = {**numbers(of_swing)["parameters"], **numbers(of_arm)["parameters"]}
     common = {**common, **_settings(crane, common), **crane.numbers["oil"]}
@@ -172,7 +154,7 @@ def drives(
     for j in joints:  # default: the number at the same place in the paper's swing or boom, or in their valve
         shipped, axis = (of_swing, swing.AXES) if j.drive == "motor" else (of_arm, boom_stick.AXES)
         known = nested(shipped.parameters, numbers(shipped)["parameters"])
-        like = vars(getattr(known, axis[0].name)) | {n: getattr(known, n) for n in fidelity.of_valve("")}
+        like = vars(getattr(known, axis[0].name)) | {n: getattr(known, n) for n in of_variant.of_valve("")}
         for full, default in _alike(getattr(names, j.name), like):
             short = full.removeprefix(f"{j.name}_")
             found[full] = sized[j.name].get(RENAMED.get(short, short)) or default or healthy(declared[full])
@@ -189,7 +171,7 @@ def drives(
     sub = replace(sub, numbers={"parameters": found, "start": start})
     if variant == "detailed":
         p = parameters(sub)
-        sub = replace(make(detailed(lambda axis: needed(axis, p))), numbers=sub.numbers)
+        sub = replace(make(fidelity(variant, lambda axis: needed(axis, p))), numbers=sub.numbers)
     return sub
 
 
@@ -276,73 +258,37 @@ def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:
 
 
 def _operator(crane: CraneDescription) -> Subsystem:
-    """Each lever in turn, to and fro."""
-    levers = tuple(j.name for j in crane.driven)
-    members = {f"{n}_command": Quantity("V", f"Command to the {n} valve", 10.0) for n in levers}
-    members |= {f"{n}_command_rate": ports.rate_output(f"{n}_command", "V/s", 10.0) for n in levers}
-    members["payload_mass"] = quantities(OperatorOutputs)["payload_mass"]
-    made = operator(levers, make_group("Outputs", members))
-    values = dict.fromkeys(quantities(made.parameters), 0.0)
-    for k, lever in enumerate(levers):
-        for number, sign in ((1, 1.0), (2, -1.0)):
-            start = FIRST + APART * (2 * k + number - 1)
-            own = {**STROKE, "command": sign * STROKE["command"], "start": start}
-            values |= {f"{lever}_{number}_{n}": value for n, value in own.items()}
-    values |= {"payload_1_mass": crane.numbers["payload"]["payload_mass"].value, "payload_1_hold": HELD}
-    declared = quantities(made.parameters)
-    found = {n: Number(x, declared[n].unit, "assumed", "program of a crane") for n, x in values.items()}
-    return replace(made, numbers={"parameters": found, "start": {}})
+    """Each lever in turn, to and fro; the payload of the description is held."""
+    moves: list[Move | Stem] = [Stem(0.0, crane.numbers["payload"]["payload_mass"].value, HELD)]
+    for k, (j, sign) in enumerate((j, sign) for j in crane.driven for sign in (1, -1)):
+        moves.append(Move(j.name, FIRST + APART * k, sign * STROKE, *RAMPS))
+    return with_program(operator({j.name: "" for j in crane.driven}), moves, "program of a crane")
 
 
-def build_crane(
-    crane: CraneDescription,
-    folder: Path,
-    versions: Sequence[int] = (2,),
-    platforms: Sequence[str] | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-    faults: bool = False,
-) -> list[Path]:
-    """Write the FMUs of all parts and variants, the machine as one FMU, and its system (SSP); their files."""
-    machine = crane_machine(crane, faults)
-    others = [s for v in machine.families.values() for s in v.values() if s.name != s.component]
-    driver = (machine.controller, machine.actuation, machine.sensors, machine.diagnosis)
-    title, axes = f"Crane as one block: {crane.title}", [j.name for j in crane.driven]
-    whole = one_block(machine, machine.subsystems, axes, name=crane.file.stem, text=title)
-    subs = [*others, whole, *machine.components.values(), *filter(None, driver)]
-    folders = {fmi: folder / SUBFOLDERS[fmi] for fmi in versions}
-    built = build_all(
-        subs, folders, STEP, STOP, platforms, {s.name: VARIANTS for s in others}, progress=progress
-    )
-    flows, told = (ssp.section_flows(machine, machine.controller, d) for d in (None, machine.diagnosis))
-    plans = dict.fromkeys(("", ssp.ACTUATED), ssp.SystemPlan(STOP))
-    plans[ssp.CONTROLLED] = ssp.SystemPlan(STOP, {ssp.COMPENSATED: flows})
-    plans[ssp.SENSED] = ssp.SystemPlan(STOP, {ssp.COMPENSATED: told})
-    paths, files_of = list[Path](), {**page_files(crane), SOURCE: crane.file.read_bytes()}
-    for fmi, files in built.items():
-        fmus = dict(zip((s.name for s in subs), files, strict=True))
-        paths += files
-        paths += ssp.write_systems(machine, crane.file.stem, folders[fmi], fmus, STEP, plans, files_of)
-    return paths
+def crane_build(crane: CraneDescription, parameters: Path | None = None, faults: bool = False) -> Build:
+    """What is built of a crane; the arguments are those of `fmus.machine.build.harvester`."""
+    machine = with_values(crane_machine(crane, faults), parameters, partial(controller, crane))
+    whole, plan = one_block(machine, f"Crane as one block: {crane.title}"), SystemPlan(STOP)
+    files, note = {**page_files(crane), SOURCE: crane.file.read_bytes()}, ""
+    try:
+        controlled(crane)
+    except Problem as why:
+        note = f"without a controller: {why}"
+    return Build(machine, whole, plan, plan, files, note=note)
 
 
-def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose, Mechanics] | None:
-    """Names, start poses and mechanics of a crane that follows paths; None: the system is not one of a crane.
-
-    names   of the harvester
-    """
+def tracked(system: System) -> tuple[TrackedMachine, Mechanics] | None:
+    """Names and mechanics of a crane that follows paths; None: the system is none of a crane."""
     if (file := system.resources.get(SOURCE)) is None:
         return None
     crane = read(Path(str(file)), file.read())
     controlled(crane)  # tells why the machine has no controller
+    machine, name = crane_machine(crane), system.name.removesuffix(CONTROLLED).removesuffix(SENSED)
     tip = ("crane_tip_radius", "crane_tip_height", crane.joints[0].coordinate)
-    name = system.name.removesuffix("_control").removesuffix("_sensors")
-    own = replace(
-        names,
-        example=f"{name}_control.ssp",
+    own = TrackedMachine(
+        example=f"{name}{CONTROLLED}.ssp",
         alone="drives=lumped",
         tip=tuple(f"{NAME}.{n}" for n in tip),
     )
-    machine = crane_machine(crane)
-    arm = machine.subsystems[NAME]
-    steering = controller(crane, machine)
-    return own, partial(start_pose, steering), Mechanics(steering, arm, partial(hanging_sway, arm))
+    assert machine.controller is not None
+    return own, Mechanics(machine.controller, machine.parts[NAME])

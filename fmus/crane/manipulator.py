@@ -9,6 +9,7 @@ Validity: rigid links, viscous friction, the pins of a cylinder in the plane of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -111,14 +112,15 @@ def numbers_of(joint: JointDescription) -> dict[str, Number]:
     return {n: x for n, x in joint.numbers.items() if n in known and x.value != 0}
 
 
-def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
-    """A joint of a description."""
-    own, names = numbers_of(j), [joint.name for joint in crane.joints]
+def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> JointModel:
+    """A joint of a description, in a chain of these joints."""
+    own, names = numbers_of(j), [joint.name for joint in joints]
     nothing = dict.fromkeys(OF_JOINT[j.kind], 0)
 
     def of(p: Any) -> Any:
-        """Its parameters, 0 where it has none."""
-        return SimpleNamespace(**{**nothing, **{n: getattr(getattr(p, j.name), n) for n in own}})
+        """Its parameters, 0 where it has none; a controller has the geometry only."""
+        given = vars(getattr(p, j.name))
+        return SimpleNamespace(**{**nothing, **{n: given[n] for n in own if n in given}})
 
     def link(p: Any) -> Link:
         o = of(p)
@@ -128,12 +130,14 @@ def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
             axis=j.axis,
             at=(o.at_x, o.at_y, o.at_z),
             parent=names.index(j.parent) if j.parent else None,
-            mass=o.mass,
-            centre=(o.centre_x, o.centre_y, o.centre_z),
-            inertia=[getattr(o, n) for n in INERTIA],
             follows=names.index(j.follows) if j.follows else None,
             ratio=o.ratio if j.follows else 1,
         )
+
+    def body(p: Any) -> dict[str, Any]:
+        o = of(p)
+        centre = o.centre_x, o.centre_y, o.centre_z
+        return {"mass": o.mass, "centre": centre, "inertia": [getattr(o, n) for n in INERTIA]}
 
     def drive(p: Any) -> Drive:
         o = of(p)
@@ -152,6 +156,7 @@ def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
         name=j.name,
         coordinate=j.coordinate,
         link=link,
+        body=body,
         damping=lambda p: of(p).damping,
         stiffness=(lambda p: of(p).stiffness) if "stiffness" in own else None,
         motor=j.motor,
@@ -169,12 +174,10 @@ def joint_model(crane: CraneDescription, j: JointDescription) -> JointModel:
     return replace(model, lever=-1.0 if float(at_start.at(j.start.value).arm) < 0 else 1.0)
 
 
-def crane_tip(crane: CraneDescription, p: Any) -> tuple[int, Vector]:
-    """Link and place of the crane tip."""
-    (way, end), names = crane.arm, [j.name for j in crane.joints]
-    if end is None:
-        return names.index(crane.payload_on), (p.tip_at_x, p.tip_at_y, p.tip_at_z)
-    return names.index(way[-1].name), joint_model(crane, end).link(p).at
+def crane_tip(crane: CraneDescription, p: Any) -> Vector:
+    """Place of the crane tip in the frame of the last link before it."""
+    way, end = crane.arm
+    return joint_model((*way, end), end).link(p).at if end else (p.tip_at_x, p.tip_at_y, p.tip_at_z)
 
 
 def mechanics(
@@ -194,7 +197,8 @@ def mechanics(
 
     def views(of: Mechanics, q: ca.SX, _w: ca.SX, _x: Any, p: Any) -> dict[str, Scalar]:
         chain, load = of.chain(p), payload(0, p)
-        tip, end = chain.position(q, load.link, load.at), chain.position(q, *crane_tip(crane, p))
+        tip = chain.position(q, load.link, load.at)
+        end = chain.position(q, names.index(way[-1].name), crane_tip(crane, p))
         across = (end - chain.position(q, names.index(slew.name)))[:2]
         return {
             **{f"tip_{n}": tip[k] for k, n in enumerate("xy")},
@@ -205,7 +209,7 @@ def mechanics(
         }
 
     return Mechanics(
-        joints=tuple(joint_model(crane, j) for j in crane.joints),
+        joints=tuple(joint_model(crane.joints, j) for j in crane.joints),
         parameters=parameters,
         states=states,
         inputs=inputs,

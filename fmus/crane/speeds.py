@@ -18,11 +18,12 @@ import casadi as ca
 import numpy as np
 
 from fmus.contract import column
-from fmus.crane.check import SUPPLIES, AxisCheck, Speeds, outputs_at_start
+from fmus.crane.check import SUPPLIES, AxisCheck, Speeds
 from fmus.crane.description import CraneDescription
 from fmus.crane.machine import drives, with_pressures
 from fmus.crane.manipulator import manipulator
 from fmus.machine.machine import wiring
+from fmus.machine.poses import outputs_at_start
 from fmus.monolith import Monolith, join
 from fmus.supply import supply
 

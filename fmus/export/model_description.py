@@ -5,7 +5,7 @@ the terminals of a subsystem and the size of its icon.
 
 Any tool can run the reference experiment and compare the result; its files conform to the layered standard
 FMI-LS-REF (draft 1.0.0-alpha.1). The data are files next to the subsystem, written by `python -m
-fmus.machine.reference`: parameters and start values, inputs, result. They are valid for any parameter values
+benchmarks.reference`: parameters and start values, inputs, result. They are valid for any parameter values
 that the FMU is built with, because the experiment sets all parameters.
 """
 

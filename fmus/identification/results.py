@@ -127,8 +127,7 @@ class Curve:
     """A curve or a cloud of points.
 
     line    whether the points are joined
-    error   half the length of each error bar
-    band    lower and upper end of a band around the curve
+    error   half the length of each error bar, or down and up, shape (2, n)
     """
 
     label: str
@@ -137,7 +136,6 @@ class Curve:
     kind: CurveKind = "measured"
     line: bool = False
     error: Array | None = None
-    band: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True)

@@ -33,19 +33,19 @@ from fmus.contract import (
     with_derived,
 )
 from fmus.controller import CONTROLLER
-from fmus.controller.arm import Arm, Cylindrical
+from fmus.controller.arm import Arm
 from fmus.controller.reference import speed_limits
 from fmus.controller.valve import MARGIN, needed_pressures, nominal_full_speeds, section_speeds
 from fmus.controller.variables import LEARNED
-from fmus.machine.sway import head_sway
-from fmus.manipulator import MANIPULATOR
+from fmus.machine.sway import sway
+from fmus.manipulator import VARIANTS
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 from orchestrator.ssp.system import Component, System
 
 RATE = 100.0  # Hz, at which a path is examined
-SEARCHES, LARGEST_STEP = 3, 0.1  # m; of the pose at each instant, from that before
+SEARCHES = 3  # steps of the search for the pose at each instant, from that before
 FAR, LONG = 0.01, 20  # m, rows: a tip so far from its path for so long does not reach it; less is a jump
 SLOW = 0.02  # of its limit: a slower actuator asks for nothing
 SETTINGS = ("pressure_setting", "pump_1_pressure_setting", "pump_2_pressure_setting", "pressure_cut_off")
@@ -54,14 +54,21 @@ UNITS = {True: "rad/s", False: "m/s"}  # of an axis that turns the column, of a 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What is known of a machine: its controller, its manipulator at rest, the sway of its head.
-
-    sway   period [s] and damping ratio of the head of a component that is a manipulator; None: none swings
-    """
+    """What is known of a machine: its controller, variants of its manipulator, the default one first."""
 
     controller: Subsystem
-    manipulator: Subsystem
-    sway: Callable[[Component], tuple[float, float] | None]
+    manipulators: Mapping[str, Subsystem]
+
+    @property
+    def manipulator(self) -> Subsystem:
+        """The default variant."""
+        return next(iter(self.manipulators.values()))
+
+    def sway(self, component: Component) -> tuple[float, float] | None:
+        """Period [s] and damping ratio of what hangs from this manipulator; None: nothing swings."""
+        own = component.real_parameters().keys()
+        like = max(self.manipulators.values(), key=lambda sub: len(own & quantities(sub.parameters).keys()))
+        return sway(like, component)
 
     @property
     def arm(self) -> Arm:
@@ -93,7 +100,7 @@ class Mechanics:
         return found | ({f"{name}.hysteresis": float(np.mean(plays))} if p.hysteresis > 0 else {})
 
 
-MECHANICS = Mechanics(CONTROLLER, MANIPULATOR, head_sway)  # of the harvester
+MECHANICS = Mechanics(CONTROLLER, VARIANTS)  # of the harvester
 
 
 @dataclass(frozen=True)
@@ -214,15 +221,7 @@ def _supply(system: System, nominal: float) -> Supply:
 
 def _follow(arm: Arm, p: Any, path: Array, given: Mapping[str, float]) -> tuple[Array, Array]:
     """Coordinates of the axes along a path, (axes, n), and the distance of the tip from it [m], (n,)."""
-    q, point = ca.SX.sym("q", len(arm.axes)), ca.SX.sym("point", 3)
-    at, tip = ca.vertsplit(q), arm.tip(ca.vertsplit(q), p)
-    away = [a - b for a, b in zip(ca.vertsplit(point), (tip.radius, tip.height, tip.angle), strict=True)]
-    length = ca.sqrt(away[0] ** 2 + away[1] ** 2 + (tip.radius * away[2]) ** 2)
-    share = LARGEST_STEP / ca.fmax(length, LARGEST_STEP)
-    speeds = arm.joint_speeds(at, Cylindrical(*(share * x for x in away)), p)
-    step = ca.Function("step", [q, point], [q + column(*speeds)])
-    far = ca.Function("far", [q, point], [length])
-    often = np.repeat(path, SEARCHES, axis=1)
+    (step, far), often = arm.search(p), np.repeat(path, SEARCHES, axis=1)
     start = [given[f"initial_{a.coordinate[0]}"] for a in arm.axes]
     joints = step.mapaccum(often.shape[1])(start, often).full()[:, SEARCHES - 1 :: SEARCHES]
     return joints, far.map(path.shape[1])(joints, path).full()[0]

@@ -1,7 +1,7 @@
 """A machine: variants of parts that are connected by their terminals."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import permutations
 from typing import TypeAlias
@@ -9,9 +9,14 @@ from typing import TypeAlias
 from fmus.components.chamber import AeratedOil
 from fmus.contract import Subsystem, quantities
 from fmus.controller.variables import Setpoints
+from fmus.diagnosis import diagnosis
+from fmus.faults import faulty
+from fmus.parameters import numbers
+from fmus.sensors import sensors
 from orchestrator.base.errors import Problem
 
 HOLDING = ("_holding_force", "_holding_torque")
+ARM = "manipulator"  # the part without hydraulics
 Connections: TypeAlias = tuple[tuple[str, str], ...]
 Inputs: TypeAlias = Mapping[str, tuple[str, ...]]  # external input -> component inputs that it feeds
 
@@ -60,23 +65,41 @@ def wiring(chosen: Mapping[str, Subsystem]) -> tuple[Connections, Inputs]:
 class Machine:
     """Parts with their variants, the supplies of their lines, and what gives their commands.
 
+    name       of the machine in one FMU, and begin of the names of its systems
     parts      part -> variant -> subsystem, the default variant first
     supplies   the same; the machine in one FMU does not contain them
     operator, controller   each gives the commands in a system of its own; the controller also measures
     actuation  what is between the commands and the valves, in some systems
-    sensors    what is between the machine and the controller, in some systems
-    diagnosis  what looks at the readings of the sensors and the commands of the controller there
     shared     parameter -> parts that it describes together
+    faults     whether its parts have faults as inputs; then it has sensors and a diagnosis (`with_faults`)
     """
 
+    name: str
     parts: Mapping[str, Mapping[str, Subsystem]]
     supplies: Mapping[str, Mapping[str, Subsystem]] = field(default_factory=dict)
     operator: Subsystem | None = None
     controller: Subsystem | None = None
     actuation: Subsystem | None = None
-    sensors: Subsystem | None = None
-    diagnosis: Subsystem | None = None
     shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    faults: bool = False
+
+    @cached_property
+    def sensors(self) -> Subsystem | None:
+        """What is between the machine and the controller, in some systems."""
+        return sensors(self.measured) if self.faults and self.controller else None
+
+    @cached_property
+    def diagnosis(self) -> Subsystem | None:
+        """What looks at the readings of the sensors and the commands of the controller there."""
+        if not self.faults or self.controller is None:
+            return None
+        known = numbers(self.controller)["parameters"]
+        return diagnosis(self.controller.model.arm, known, self.subsystems[ARM])
+
+    @property
+    def drivers(self) -> list[Subsystem]:
+        """What is connected to the machine in some systems only: all but the operator."""
+        return [*filter(None, (self.controller, self.actuation, self.sensors, self.diagnosis))]
 
     @property
     def families(self) -> dict[str, Mapping[str, Subsystem]]:
@@ -224,3 +247,17 @@ class Machine:
     def holding(self) -> Connections:
         """Connections for initialisation only: forces of the pose, from which initial pressures follow."""
         return tuple(wire for wire in self.connections if wire[0].endswith(HOLDING))
+
+
+def with_faults(machine: Machine) -> Machine:
+    """The machine with faults as inputs (`fmus.faults`), sensors and a diagnosis.
+
+    Its parts have the additions of `fmus.faults`, and its actuation the conditions of the valves.
+    """
+
+    def faulty_of(families: Mapping[str, Mapping[str, Subsystem]]) -> dict[str, dict[str, Subsystem]]:
+        return {part: {v: faulty(sub) for v, sub in family.items()} for part, family in families.items()}
+
+    head = machine.actuation and faulty(machine.actuation)
+    parts, supplies = faulty_of(machine.parts), faulty_of(machine.supplies)
+    return replace(machine, parts=parts, supplies=supplies, actuation=head, faults=True)

@@ -3,14 +3,14 @@
 Inputs are commands, supply and payload. Only differences from the declarations of the parts are listed here.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from fmus.composition import compose
 from fmus.contract import Subsystem, quantities
-from fmus.machine.machine import Machine, wiring
+from fmus.machine.machine import Machine
 from fmus.machine.parts import FERIC
-from fmus.ports import grip, lever, return_line, supply_line
+from fmus.ports import grip, return_line, supply_line
 
 TEXTS = {
     "supply_flow": "Flow from the supply line into all three drives",
@@ -32,46 +32,31 @@ def hidden(machine: Machine) -> list[str]:
 
 
 def one_block(
-    machine: Machine,
-    parts: Mapping[str, Subsystem],
-    levers: Sequence[str],
-    name: str,
-    text: str,
-    folder: Path | None = None,
-    texts: Mapping[str, str] | None = None,
+    machine: Machine, text: str, folder: Path | None = None, texts: Mapping[str, str] | None = None
 ) -> Subsystem:
-    """The machine composed of these variants of its parts; the rest is as in `compose`.
-
-    levers   axes with a command
-    """
+    """The machine composed of the default variants of its parts; the rest is as in `compose`."""
+    levers = [t for t in machine.operator.terminals if t.kind == "lever"] if machine.operator else []
     return compose(
-        subsystems=parts,
+        subsystems=machine.subsystems,
         connections=machine.connections,
-        inputs=wiring(parts)[1],
+        inputs=machine.inputs,
         hidden=hidden(machine),
         totals=TOTALS,
-        terminals=(*map(lever, levers), grip(), supply_line(), return_line()),
-        name=name,
+        terminals=(*levers, grip(), supply_line(), return_line()),
+        name=machine.name,
         text=text,
         folder=folder,
         texts=texts,
     )
 
 
-def composed_machine(parts: Mapping[str, Subsystem]) -> Subsystem:
+def harvester_block(machine: Machine = FERIC) -> Subsystem:
     """The harvester composed of swing, boom_stick and manipulator, with their parameter values."""
-    return one_block(
-        FERIC,
-        parts,
-        ("swing", "boom", "stick"),
-        name="harvester",
-        text="Forestry harvester: swing, boom and stick drives and the manipulator as one block",
-        folder=Path(__file__).parent / "harvester",
-        texts=TEXTS,
-    )
+    text = "Forestry harvester: swing, boom and stick drives and the manipulator as one block"
+    return one_block(machine, text, Path(__file__).parent / machine.name, TEXTS)
 
 
 HIDDEN = tuple(hidden(FERIC))
-HARVESTER = composed_machine(FERIC.subsystems)
+HARVESTER = harvester_block()
 
-__all__ = ["HARVESTER", "composed_machine", "one_block"]
+__all__ = ["HARVESTER", "harvester_block", "one_block"]

@@ -5,7 +5,7 @@ The tracking error is the distance of the tip from the commanded point:
     e(t) = |tip(t) - path(t)|        both in space, at the same instant
 
 A scenario contains the path. The position of the tip is computed from outputs of the machine (radius, height,
-angle), not from what the controller reports. A file of the machine has the names (`TrackedMachine`).
+angle), not from what the controller reports. `TrackedMachine` has the names.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from matplotlib.lines import Line2D
 
 from fmus.machine.feasible import Mechanics, exceeded
 from fmus.machine.sway import shaped
-from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, write_columns, write_whole
 from orchestrator.base.signals import rms
@@ -72,40 +71,49 @@ class Limit:
     decisive: bool = False
 
 
+# Use of a limit of the controller -> the limit. The first one that acts and is decisive, else the one that is
+# exceeded most, is the cause of an error. A load-sensing pump raises its pressure within a few tenths of a
+# second after a valve has opened, so that use counts if it lasts; then the machine waits, and the path asks
+# for more speed.
+LIMITS = {
+    "controller.pressure_use": Limit("the supply pressure does not carry the load", 1.0, 1.0, decisive=True),
+    "controller.stroke_use": Limit("the path leads beyond the end of a stroke", 1.0),
+    "controller.speed_use": Limit("the path requires more speed than an actuator has", 1.0),
+    "controller.wait_use": Limit("the machine does not follow", 0.5),
+}
+
+
 @dataclass(frozen=True)
 class TrackedMachine:
-    """Names of a machine that follows paths, in a TOML file of the machine, such as tracking.toml.
+    """Names of a machine that follows paths; the defaults are those of the harvester.
 
     example      file of such a machine
-    follower     component whose parameters determine the start of a path
-    controller   component that may assume other parameters than the machine has
     alone        a variant, as COMPONENT=VARIANT, for a message
-    path, tip    radius [m], height [m] and angle [rad]: columns of a scenario, and signals of the machine
-    radius       what this radius is, for a figure
+    tip          radius [m], height [m] and angle [rad]: signals of the machine
+    path         the same: columns of a scenario
     velocity     columns that a scenario may lack: the derivatives of the path
     engaged      columns that a scenario may lack: 1
+    radius       what this radius is, for a figure
+    follower     component whose parameters determine the start of a path
+    controller   component that may assume other parameters than the machine has
     feedback     input: 1 if the controller uses measurements, else 0
     copied       end of the names of parameters of the components that the controller gets
-    limits       signal with the use of a limit -> limit
     """
 
-    example: str
-    follower: str
-    controller: str
-    alone: str
-    path: tuple[str, ...]
-    velocity: tuple[str, ...]
-    engaged: tuple[str, ...]
-    tip: tuple[str, ...]
-    radius: str
-    feedback: str
-    copied: str
-    limits: Mapping[str, Limit]
+    example: str = "build/harvester_control.ssp"
+    alone: str = "swing=lumped"
+    tip: tuple[str, ...] = ("manipulator.tip_radius", "manipulator.tip_height", "manipulator.swing_angle")
+    path: tuple[str, ...] = ("path_radius", "path_height", "path_angle")
+    velocity: tuple[str, ...] = ("radial_velocity", "vertical_velocity", "swing_velocity")
+    engaged: tuple[str, ...] = ("engaged", "follow")
+    radius: str = "radius from the swing axis"
+    follower: str = "manipulator"
+    controller: str = "controller"
+    feedback: str = "controller.feedback"
+    copied: str = "_section_flow"
 
 
-def read_machine(file: Path) -> TrackedMachine:
-    """Read the names of a machine."""
-    return toml.read_dataclass(TrackedMachine, toml.read(file, file.read_bytes()))
+HARVESTER = TrackedMachine()
 
 
 @dataclass(frozen=True)
@@ -205,10 +213,12 @@ def follow(
     points(scenario, names.path, str(path))  # a file without a path is reported before anything runs
     scenario = unwrapped(scenario, names.path[-1])
     driven, values = completed(scenario, names), {**start, names.feedback: float(feedback)}
-    limits = {name: limit for name, limit in names.limits.items() if system.has(name)}
+    limits = {name: limit for name, limit in LIMITS.items() if system.has(name)}
     try:
         recorded = [*names.tip, *limits, *also]
-        result, failure = attempt(system, driven, recorded, record_step=RECORD_STEP, set=values, yes=yes)
+        result, failure = attempt(
+            system, driven, record=recorded, record_step=RECORD_STEP, set=values, yes=yes
+        )
     except Problem as problem:
         raise Problem(f"machine {machine}, path {path.stem}: {problem}") from None
     trace = result.trace

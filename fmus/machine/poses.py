@@ -7,10 +7,12 @@ import numpy as np
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic
-from fmus.controller.harvester import arm_angles
+from fmus.controller.harvester import ARM
 from fmus.controller.model import start_pressures
-from fmus.controller.paths import PATHS, Route, start
+from fmus.controller.paths import PATHS, start, start_angles
 from fmus.manipulator import MANIPULATOR
+from fmus.operator_input import OPERATOR
+from fmus.operator_input.work_cycle import PROGRAMS, program
 from fmus.parameters import values
 
 JOINTS = ("boom", "stick")
@@ -52,19 +54,23 @@ POSES: Mapping[str, Pose] = {
 }
 
 
+def outputs_at_start(sub: Subsystem, payload: float = 0.0, **parameters: float) -> Mapping[str, float]:
+    """Outputs of a manipulator at its start pose with a payload [kg], and other values of parameters."""
+    model, v = symbolic(sub), values(sub)
+    u, p = list({**v.u, "payload_mass": payload}.values()), list({**v.p, **parameters}.values())
+    y = model.function()(model.initial()(list(v.x.values()), u, p), u, p)[1].full()[:, 0]
+    return dict(zip(quantities(sub.outputs), map(float, y), strict=True))
+
+
 def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, float]:
     """Parameters and start values of a pose by `component.variable`.
 
     Start values of connected inputs are for tools that do not propagate values at initialisation. Piston
     positions are x(q) and holding forces G(q) / J, from the equations of the manipulator.
     """
-    model, v = symbolic(manipulator), values(manipulator)
-    angles = {"swing": pose.swing, "boom": pose.boom, "stick": pose.stick}
-    p = {**v.p, **{parameter(joint): angle for joint, angle in angles.items()}}
-    x, *u_p = (list(group.values()) for group in (v.x, v.u, p))
-    outputs = model.function()(model.initial()(x, *u_p), *u_p)[1].full()[:, 0]
-    y = dict(zip(quantities(manipulator.outputs), map(float, outputs), strict=True))
-    result = {f"manipulator.{parameter(joint)}": angle for joint, angle in angles.items()}
+    angles = {parameter(joint): getattr(pose, joint) for joint in ("swing", *JOINTS)}
+    y = outputs_at_start(manipulator, **angles)
+    result = {f"manipulator.{name}": angle for name, angle in angles.items()}
     for joint in JOINTS:
         force = y[f"{joint}_holding_force"]
         result |= {
@@ -75,15 +81,21 @@ def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, floa
     return result
 
 
-def path_pose(path: Route, manipulator: Subsystem = MANIPULATOR) -> Pose:
-    """The pose with the tip at the first point of a path."""
-    radius, height, swing = start(path)
-    return Pose(*arm_angles(radius, height, values(manipulator).p), swing)
+def parameter_sets(manipulator: Subsystem = MANIPULATOR) -> dict[str, dict[str, float]]:
+    """Parameter sets by name, values by "component.variable": poses, programs of the operator."""
+    sets = {name: pose_set(pose, manipulator) for name, pose in POSES.items()}
+    for name, moves in PROGRAMS.items():
+        sets[name] = {f"{OPERATOR.name}.{p}": value for p, value in program(moves).items()}
+    return sets
 
 
 def controlled_poses(manipulator: Subsystem = MANIPULATOR) -> dict[str, Pose]:
     """Poses by name, and the pose at the start of each path by its name."""
-    return {**POSES, **{name: path_pose(path, manipulator) for name, path in PATHS.items()}}
+    p, found = values(manipulator).p, dict(POSES)
+    for name, path in PATHS.items():
+        at = start_angles(name, start(path), p)
+        found[name] = Pose(*(at[f"manipulator.{parameter(joint)}"] for joint in (*JOINTS, "swing")))
+    return found
 
 
 def controller_set(
@@ -93,5 +105,5 @@ def controller_set(
     result = pose_set(pose, manipulator)
     inputs = {n.partition(".")[2]: v for n, v in result.items() if n.startswith(f"{boom_stick.component}.")}
     measured = {"swing_angle": pose.swing, "boom_angle": pose.boom, "stick_angle": pose.stick}
-    measured |= start_pressures(boom_stick, inputs)
+    measured |= start_pressures(ARM, boom_stick, inputs)
     return result | {f"controller.{n}": value for n, value in measured.items()}

@@ -20,13 +20,18 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
+from fmus.contract import Subsystem, nested
+from fmus.joints import Mechanics
+from fmus.parameters import values
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.ssp.system import Component
 
 RATE = 200.0  # Hz, of a shaped path
+TURNS = 1e-3  # 1/s2: square of the frequency below which a passive joint turns freely, as a rotator
 REST = 0.01  # of the highest speed: slower, a path rests
 
 
@@ -37,16 +42,36 @@ def impulses(period: float, damping: float) -> tuple[Array, Array]:
     return np.array([0.0, 0.5, 1.0]) * period / root, np.array([1.0, 2 * k, k**2]) / (1 + k) ** 2
 
 
-def head_sway(manipulator: Component) -> tuple[float, float] | None:
-    """Period [s] and damping ratio of the head of a harvester with what it holds; None: it does not swing."""
-    p = manipulator.real_parameters()
-    if "head_length" not in p:
+def sway(manipulator: Subsystem, component: Component) -> tuple[float, float] | None:
+    """Mean period [s] and damping ratio of the passive joints, with the arm at rest; None: none swings.
+
+    In the start pose, with the payload: modes of M q'' + d q' + (dG/dq + k) q = 0 about their rest.
+
+    manipulator   with the equations of the component
+    """
+    of: Mechanics = manipulator.model
+    own, free = component.real_parameters(), of.free
+    p = nested(of.parameters, {n: own.get(n, x) for n, x in values(manipulator).p.items()})
+    passive = [j for j in free if not j.driven and j.link(p).joint == "revolute"]
+    if not passive:
         return None
-    mass = p["head_mass"] + float(manipulator.value("payload_mass"))
-    inertia = p["head_inertia"] + mass * p["head_length"] ** 2
-    stiffness = mass * p["gravity"] * p["head_length"]
-    ratio = p["head_joint_damping"] / (2 * math.sqrt(stiffness * inertia))
-    return (2 * math.pi * math.sqrt(inertia / stiffness), ratio) if ratio < 1 else None
+    held, rows = float(component.value("payload_mass")), [free.index(j) for j in passive]
+    q = ca.SX.sym("q", len(free))
+    motion = of.chain(p).equations(q, ca.SX.zeros(len(free)), of.payload(held, p))
+    terms = ca.Function("terms", [q], [motion.mass, ca.jacobian(motion.gravity, q)])
+    rest = ca.Function("rest", [q], [of.at_rest(q, held, p, [of.joints.index(j) for j in passive])])
+    at = rest(ca.evalf(of.of_joints(of.start(p))))
+    mass, stiffness = (ca.DM(m).full()[np.ix_(rows, rows)] for m in terms(at))
+    springs = np.diag([float(j.stiffness(p)) if j.stiffness else 0.0 for j in passive])
+    losses = np.diag([float(j.damping(p)) for j in passive])
+    squares, modes = np.linalg.eig(np.linalg.solve(mass, stiffness + springs))
+    found = [
+        (2 * math.pi / math.sqrt(w), m @ losses @ m / (2 * math.sqrt(w) * (m @ mass @ m)))
+        for w, m in zip(squares, modes.T, strict=True)
+        if w > TURNS
+    ]
+    period, ratio = np.mean(found or [(0.0, 1.0)], axis=0)
+    return (float(period), float(ratio)) if ratio < 1 else None
 
 
 def shaped(

@@ -24,10 +24,9 @@ from typing import Any
 import casadi as ca
 
 from fmus import ports
-from fmus.components.chain import Chain, Link, Payload, Vector
+from fmus.components.chain import Link, Payload, Vector
 from fmus.components.linkage import Cylinder
-from fmus.components.mechanics import Point
-from fmus.contract import Scalar, Subsystem, column
+from fmus.contract import Scalar, Subsystem
 from fmus.joints import Friction, JointModel, Mechanics
 from fmus.manipulator.variables import (
     ManipulatorInputs,
@@ -66,10 +65,10 @@ def _joint(name: str, parent: int, at: Callable[[Any], Vector], lever: float) ->
     def of(p: Any) -> Any:
         return getattr(p, name)
 
-    def link(p: Any) -> Link:
+    def body(p: Any) -> dict[str, Any]:
         own = of(p)
         slender = (0, own.inertia, own.inertia, 0, 0, 0)
-        return Link(name, "revolute", "-y", at(p), parent, own.mass, (own.centre_x, 0, own.centre_z), slender)
+        return {"mass": own.mass, "centre": (own.centre_x, 0, own.centre_z), "inertia": slender}
 
     def drive(p: Any) -> Cylinder:
         base, rod = of(p).pins
@@ -78,7 +77,8 @@ def _joint(name: str, parent: int, at: Callable[[Any], Vector], lever: float) ->
     return JointModel(
         name=name,
         coordinate=f"{name}_angle",
-        link=link,
+        link=lambda p: Link(name, "revolute", "-y", at(p), parent),
+        body=body,
         damping=lambda p: of(p).joint_damping,
         drive=drive,
         piston=lambda p: (of(p).stroke, of(p).piston_damping),
@@ -90,7 +90,8 @@ def _joint(name: str, parent: int, at: Callable[[Any], Vector], lever: float) ->
 SWING = JointModel(
     name="swing",
     coordinate="swing_angle",
-    link=lambda p: Link("swing", "revolute", "z", inertia=(0, 0, p.column_inertia, 0, 0, 0)),
+    link=lambda _: Link("swing", "revolute", "z"),
+    body=lambda p: {"inertia": (0, 0, p.column_inertia, 0, 0, 0)},
     damping=lambda p: p.swing_damping,
     motor=True,
     stop=_swing_stop,
@@ -115,30 +116,21 @@ def head(mass: Scalar, p: Any) -> Payload:
     return Payload(*tip(p), p.head_mass + mass)
 
 
-def in_plane(boom: Scalar, stick: Scalar, p: Any) -> tuple[Point, Point]:
-    """Elbow (stick pivot) and tip (end of the stick), (radius, height) [m] at angles of the joints [rad]."""
-    links = (Link("boom", "revolute", "-y", boom_pivot(p)), Link("stick", "revolute", "-y", elbow(p), 0))
-    q, ends = ca.SX(column(boom, stick)), ((0, 0, 0), tip(p)[1])
-    points = (Chain(links).position(q, 1, at) for at in ends)
-    found = [(x, z) for x, _, z in map(ca.vertsplit, points)]
-    return found[0], found[1]
-
-
 def views(of: Mechanics, q: ca.SX, w: ca.SX, x: Any, p: Any) -> dict[str, Scalar]:
     """Places of elbow and tip, velocity of the tip in the plane of the arm."""
-    joint, end = in_plane(x.boom_angle, x.stick_angle, p)
-    in_place, turning = ca.vertcat(0, q[1:]), ca.vertcat(0, w[1:])
-    velocity = of.chain(p).velocity(in_place, turning, *tip(p))
+    in_place, turning, chain = ca.vertcat(0, q[1:]), ca.vertcat(0, w[1:]), of.chain(p)
+    joint, end = (chain.position(in_place, *place) for place in ((2, (0, 0, 0)), tip(p)))
+    velocity = chain.velocity(in_place, turning, *tip(p))
     return {
         "elbow_radius": joint[0],
-        "elbow_height": joint[1],
+        "elbow_height": joint[2],
         "tip_radius": end[0],
-        "tip_height": end[1],
+        "tip_height": end[2],
         "tip_x": end[0] * ca.cos(x.swing_angle),
         "tip_y": end[0] * ca.sin(x.swing_angle),
         "tip_radial_velocity": velocity[0],
         "tip_vertical_velocity": velocity[2],
-        "tip_depth": ca.fmax(p.ground_height - end[1], 0),
+        "tip_depth": ca.fmax(p.ground_height - end[2], 0),
     }
 
 

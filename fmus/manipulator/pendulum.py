@@ -103,14 +103,11 @@ HEAD = JointModel(
 YOKE = JointModel(
     name="head_side",
     coordinate="head_side_angle",
-    link=lambda p: Link(
-        "head_side",
-        "revolute",
-        "x",
-        parent=3,
-        centre=(0, 0, -p.head_length),
-        inertia=(p.head_inertia, p.head_inertia, 0, 0, 0, 0),
-    ),
+    link=lambda _: Link("head_side", "revolute", "x", parent=3),
+    body=lambda p: {
+        "centre": (0, 0, -p.head_length),
+        "inertia": (p.head_inertia, p.head_inertia, 0, 0, 0, 0),
+    },
     damping=lambda p: p.head_joint_damping,
     stop=lambda p: (p.head_stop_angle, p.head_stop_stiffness, p.head_stop_damping, STOP_ROUNDING),
     stop_shown="head_stop_torque",

@@ -1,5 +1,5 @@
 """Operator input: a program of lever strokes over time. `OPERATOR` is the subsystem, without variants."""
 
-from fmus.operator_input.model import OPERATOR
+from fmus.operator_input.work_cycle import OPERATOR
 
 __all__ = ["OPERATOR"]

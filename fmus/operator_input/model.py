@@ -14,7 +14,7 @@ Signs: a positive command turns left, raises the boom, extends the stick cylinde
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -89,7 +89,9 @@ def _nonzero(duration: Scalar) -> Scalar:
     return ca.if_else(duration > 0, duration, 1)
 
 
-AXES = ("swing", "boom", "stick")
+# lever -> what a positive command does
+LEVERS = {"swing": "turns left", "boom": "raises the boom", "stick": "folds the stick in"}
+AXES = tuple(LEVERS)
 NUMBERS = {1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 STROKES = range(1, 11)
 PAYLOADS = range(1, 5)
@@ -118,10 +120,6 @@ def parameters(levers: Sequence[str]) -> type[Any]:
     )
 
 
-# 162 parameters; values and sources are in parameters.toml
-OperatorParameters = parameters(AXES)
-
-
 class OperatorState(Group):
     """Clock of the program."""
 
@@ -132,10 +130,15 @@ class OperatorInputs(Group):
     """No inputs."""
 
 
-class OperatorOutputs(ports.CommandOutputs):
+def outputs(levers: Mapping[str, str]) -> type[Any]:
     """Commands to the valves and their rates; payload."""
-
-    payload_mass: Scalar = Quantity("kg", "Payload that the head is to hold, in steps", 100.0)
+    shown = {
+        f"{n}_command": Quantity("V", f"Command to the {n} valve{means and ', positive '}{means}", 10.0)
+        for n, means in levers.items()
+    }
+    shown |= {f"{n}_command_rate": ports.rate_output(f"{n}_command", "V/s", 10.0) for n in levers}
+    held = Quantity("kg", "Payload that the head is to hold, in steps", 100.0)
+    return make_group("OperatorOutputs", {**shown, "payload_mass": held})
 
 
 def _strokes(lever: str, p: Any) -> list[Stroke]:
@@ -175,24 +178,25 @@ def _next_event(levers: Sequence[str], x: OperatorState, u: OperatorInputs, p: A
     return remaining
 
 
-def operator(levers: Sequence[str], outputs: type[Any], **values: Any) -> Subsystem:
-    """The operator of some levers; `outputs` has their commands with rates, and the payload."""
+def operator(levers: Mapping[str, str], values: Path | None = None) -> Subsystem:
+    """The operator of some levers.
+
+    levers   lever -> what a positive command does, "": it is not said
+    values   in the folder of its README; the file itself need not exist
+    """
+    names, shown = tuple(levers), outputs(levers)
     return Subsystem(
         name="operator_input",
-        text=f"Operator: a program of up to ten strokes on each of {NUMBERS.get(len(levers), len(levers))} "
+        text=f"Operator: a program of up to ten strokes on each of {NUMBERS.get(len(names), len(names))} "
         "levers, and of up to four payloads",
-        parameters=OperatorParameters if levers == AXES else parameters(levers),
+        parameters=parameters(names),
         states=OperatorState,
         inputs=OperatorInputs,
-        outputs=outputs,
+        outputs=shown,
         dynamics=dynamics,
-        observe=partial(_observe, levers, outputs),
-        next_event=partial(_next_event, levers),
-        terminals=(*(ports.lever(lever) for lever in levers), ports.grip()),
+        observe=partial(_observe, names, shown),
+        next_event=partial(_next_event, names),
+        terminals=(*(ports.lever(name) for name in names), ports.grip()),
         stiff=False,
-        **values,
+        values=values,
     )
-
-
-OPERATOR = operator(AXES, OperatorOutputs, values=Path(__file__).with_name("parameters.toml"))
-observe, next_event = OPERATOR.observe, OPERATOR.next_event

@@ -17,8 +17,8 @@ from fmus.machine.machine import Connections, wiring
 from fmus.machine.parts import FERIC
 from fmus.machine.parts import MACHINES as VARIANTS
 from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
-from fmus.machine.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
 from fmus.monolith import Monolith, join, simulate
+from fmus.operator_input.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
 from fmus.rig.benches import EDGES, TOLERANCE, detailed, locked_motor, stick_hose, valve
 from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, RETURN, Experiment
 from orchestrator.base.errors import Problem

@@ -57,6 +57,14 @@ class Ended(Problem):
     reached = float("nan")
 
 
+class LimitReached(Problem):
+    """A limit of a run has ended its process; `limit`: time_limit or memory_limit."""
+
+    def __init__(self, message: str, limit: str) -> None:
+        super().__init__(message)
+        self.limit = limit
+
+
 class Stopped(Exception):
     """The user ended a command early; the message says which results are kept."""
 

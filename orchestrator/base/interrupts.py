@@ -13,8 +13,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, ParamSpec, TypeVar
@@ -133,26 +132,3 @@ def of_user(function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -
     if _active and _in_main_thread():
         _active[-1].check()
     return function(*arguments, **options)
-
-
-def in_threads(
-    tasks: Sequence[Callable[[], None]],
-    stop: Callable[[], Any],
-    meanwhile: Callable[[], None] = lambda: None,
-) -> None:
-    """Call functions in threads; an exception of one of them, or an interrupt, is raised after `stop`.
-
-    meanwhile   called all the time, in this thread
-    """
-    with DeferredInterrupts() as interrupts, ThreadPoolExecutor(len(tasks)) as threads:
-        waiting: set[Future[None]] = {threads.submit(task) for task in tasks}
-        try:
-            while waiting:
-                done, waiting = wait(waiting, POLL_INTERVAL, FIRST_COMPLETED)
-                for future in done:
-                    future.result()
-                meanwhile()
-                interrupts.check()
-        except BaseException:
-            stop()
-            raise

@@ -65,3 +65,12 @@ def span(signal: Array) -> float:
 def rms(values: Array) -> float:
     """Root mean square; 0 without values."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
+
+
+def largest(values: Array, count: int) -> Array:
+    """The largest of each `count` values in a row, shape (n - count + 1,)."""
+    width = 1
+    while 2 * width <= count:
+        values, width = np.maximum(values[:-width], values[width:]), 2 * width
+    rest = count - width
+    return np.maximum(values[: len(values) - rest], values[rest:])

@@ -7,15 +7,16 @@ import os
 import threading
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from orchestrator.base.processes import machine_memory
 from orchestrator.fmi.description import ModelDescription
-from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
+from orchestrator.worker.process import LimitExceeded, Pool, Worker, WorkerLimits
 
+TARGET = "orchestrator.check.tasks.runner:main"
 ELSEWHERE = "time_and_state:elsewhere"  # needs a process with other addresses
 CONTENTS = {"pid": int, "remark": tuple[str, str], "case": int, "crash": str, "done": Any, "idle": type(None)}
 MAX_ATTEMPTS = 6  # child processes for one task; each continues after the case that crashed the one before
@@ -37,7 +38,7 @@ class ProbeLimits(WorkerLimits):
 _limits = [ProbeLimits()]
 _halt = threading.Event()  # set by an interrupt; all child processes are stopped then
 _places = threading.Semaphore(max(2, min(4, os.cpu_count() or 1)))  # for child processes that work
-_idle: list[Worker] = []
+_pool = Pool(lambda: Worker(TARGET, lambda: CONTENTS, "probe", in_folder=True))
 
 
 @contextmanager
@@ -109,41 +110,31 @@ def run(
     return outcome
 
 
-def _process() -> Worker:
-    return Worker("orchestrator.check.tasks.runner:main", lambda: CONTENTS, "probe", in_folder=True)
-
-
 def _attempt(job: Mapping[str, Any]) -> Outcome:
     """Run the task in one child process, an idle one if there is one."""
-    worker, outcome, done, idle = None, Outcome(), False, False
-    with suppress(IndexError):
-        worker = _idle.pop() if job["task"] != ELSEWHERE else None
-    worker = worker or _process()
+    outcome, done, idle = Outcome(), False, False
+    pool = Pool(_pool.start, kept=0) if job["task"] == ELSEWHERE else _pool
     try:
-        worker.forget_printed()
-        worker.put(job)
-        for name, content in worker.messages(probe_limits(), _halt):
-            if name == "pid":
-                worker.working = content
-            elif name == "remark":
-                outcome.remarks.append(content)
-            elif name == "case":
-                outcome.case = content
-            elif name == "crash":
-                outcome.failure = content
-            elif name == "done" and not outcome.failure:
-                done, outcome.result = True, content
-            if idle := name == "idle":
-                break
-        if not done and not outcome.failure:
-            outcome.failure = worker.report
+        with pool.worker() as worker:
+            worker.put(job)
+            for name, content in worker.messages(probe_limits(), _halt):
+                if name == "pid":
+                    worker.working = content
+                elif name == "remark":
+                    outcome.remarks.append(content)
+                elif name == "case":
+                    outcome.case = content
+                elif name == "crash":
+                    outcome.failure = content
+                elif name == "done" and not outcome.failure:
+                    done, outcome.result = True, content
+                if idle := name == "idle":
+                    break
+            if not done and not outcome.failure:
+                outcome.failure = worker.report
+            worker.reusable = idle
     except LimitExceeded as limit:
         outcome.failure, outcome.late = str(limit), limit.timed_out
-    finally:
-        if idle:
-            _idle.append(worker)
-        else:
-            worker.close()
     return outcome
 
 
@@ -155,11 +146,10 @@ def probe_threads(run: bool) -> Iterator[ThreadPoolExecutor]:
     """
     pool = ThreadPoolExecutor()
     try:
-        _idle.extend(_process() for _ in range(2 * run))
+        _pool.warm(2 * run)
         yield pool
     finally:
         _halt.set()
         pool.shutdown(cancel_futures=True)
         _halt.clear()
-        while _idle:
-            _idle.pop().close()
+        _pool.close()

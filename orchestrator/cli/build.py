@@ -39,8 +39,7 @@ def build(
     parameters   Parameter values that replace those of the parts (.toml), as written by identify; default:
                  none.
     only         Build only the FMUs whose names match, such as 'swing*'; default: all.
-    crane        Build the machine that this file (.toml) describes instead, see `harvester crane`: FMUs of
-                 its parts, the whole machine as one FMU, and its system.
+    crane        Build the machine that this file (.toml) describes instead, see `harvester crane`.
     faults       Build FMUs that have faults as inputs, such as boom_head_leak; a part is healthy while its
                  inputs are 0. They have the same names, so choose another folder with --out.
     shipped      Copy the FMUs and systems from the installed package instead of building them; they are for
@@ -57,8 +56,8 @@ def build(
         raise Problem(f"--shipped: expected no MODEL, {others}, which need a build")
     if faults and model:
         raise Problem(f"--faults: expected none with MODEL {model}, which has its own inputs")
-    if crane and (model or parameters or only):
-        raise Problem(f"--crane {crane}: expected no MODEL, --parameters or --only")
+    if crane and model:
+        raise Problem(f"--crane {crane}: expected no MODEL, got {model}")
     if shipped:
         make_folder(out)
         _tell(copy_shipped(out, versions[fmi]))
@@ -88,26 +87,21 @@ def build(
         for version in versions[fmi]:
             print(build_user(Path(model), out / SUBFOLDERS[version] / SUBFOLDER, platforms, version))
         return
-    from fmus.machine.build import build_machine
+    from fmus.machine.build import harvester
     from orchestrator.base.progress import doing
 
+    description = None
     if crane is not None:
         from fmus.crane.check import check
-        from fmus.crane.controller import controlled
         from fmus.crane.description import read
-        from fmus.crane.machine import build_crane
+        from fmus.crane.machine import crane_build
 
-        description = read(crane)
-        check(description)
-        with doing("building FMUs") as line:
-            _tell(build_crane(description, out, versions[fmi], platforms, line.update, faults))
-        try:
-            controlled(description)
-        except Problem as why:
-            print(f"note: without a controller: {why}")
-        return
+        check(description := read(crane))
     with doing("building FMUs") as line:
-        _tell(build_machine(out, versions[fmi], platforms, parameters, only or ("*",), line.update, faults))
+        made = crane_build(description, parameters, faults) if description else harvester(parameters, faults)
+        _tell(made.write(out, versions[fmi], platforms, only or ("*",), line.update))
+    if made.note:
+        print(f"note: {made.note}")
 
 
 def _tell(paths: list[Path]) -> None:

@@ -47,8 +47,8 @@ def variants(
         print("\n".join(variant_lines({})))
         print("To measure the cost of each variant on this computer: harvester variants --cost")
         return True
-    from fmus.machine.variant_costs import costs
     from orchestrator.base.files import require_system
+    from orchestrator.studies.variant_costs import costs
 
     measured = costs(require_system(system_file(system)), variant_names())
     print(dumps(variant_rows(measured), indent=1) if json else "\n".join(variant_lines(measured)))

@@ -51,23 +51,24 @@ def validate(
     from fmus.package_files import data
     from orchestrator.base.files import DEFAULT_SYSTEM
     from orchestrator.results.summary import Summary
-    from orchestrator.results.validate_system import validate_system
+    from orchestrator.results.validate_system import Experiment, validate_system
 
     file = system_file(system)
-    validation, text = validate_system(
+    experiment = Experiment(
         file,
-        scenario,
-        reference,
-        layout,
-        out,
         default=(data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")),
+        scenario=scenario,
+        reference=reference,
+        layout=layout,
         play=play or (),
         default_system=DEFAULT_SYSTEM if system else file,
         monolithic=monolithic,
         limit=limit,
-        default_accuracy=DEFAULT_ACCURACY["validate"],
-        report=partial(print, flush=True),
-        **options,
+        options=options,
+    )
+    told = partial(print, flush=True)
+    validation, text = validate_system(
+        experiment, out, default_accuracy=DEFAULT_ACCURACY["validate"], report=told
     )
     Console().print(Summary(validation))
     print(f"\n{text}")

@@ -115,16 +115,14 @@ def track(
     from fmus.crane.machine import tracked
     from fmus.machine.feasible import MECHANICS
     from fmus.machine.parts import MACHINES
-    from fmus.machine.path_following import first_point, read_machine
+    from fmus.machine.path_following import HARVESTER, first_point
     from fmus.machine.path_following import track as run_study
-    from fmus.package_files import PACKAGE
     from orchestrator.ssp.load import load
 
-    names, pose, own = read_machine(PACKAGE / "controller/tracking.toml"), None, False
-    mechanics = MECHANICS
+    names, mechanics, own = HARVESTER, MECHANICS, False
     machine = system_file(system, "harvester_control.ssp")
-    if crane := tracked(load(machine), names):
-        (names, pose, mechanics), own = crane, True
+    if crane := tracked(load(machine)):
+        (names, mechanics), own = crane, True
         if not (path or through):
             harvester = f"{' and '.join(PATHS)} are paths of the harvester"
             raise Problem(f"{machine}: expected --through or --path, got neither: {harvester}")
@@ -132,13 +130,14 @@ def track(
         raise Problem("--path and --through: expected one of them")
     if through:
         file, highest = write_route(through, speed, out)
-        paths = [(file, partial(route_start_angles, through, pose=pose))]
+        paths = [(file, partial(route_start_angles, through, controller=mechanics.controller))]
         if highest < speed:
             print(f"note: --speed {speed:g}: the path is too short for more than {highest:.2g} m/s")
     else:
         files = [_file(p) for p in path or PATHS]
         first = {file: first_point(file, names.path) for file in files}
-        paths = [(file, partial(start_angles, str(file), at, pose=pose)) for file, at in first.items()]
+        at_start = partial(start_angles, controller=mechanics.controller)
+        paths = [(file, partial(at_start, str(file), at)) for file, at in first.items()]
     swapped = {component: str(file) for component, file in (swap or {}).items()}
     shipped = {machine.stem: {}} if own else MACHINES
     machines = {", ".join(map("=".join, swapped.items())): swapped} if swapped else shipped

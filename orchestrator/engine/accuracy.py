@@ -24,15 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.signals import matching
+from orchestrator.base.signals import largest, matching
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import TraceSink
-from orchestrator.engine.job import Execution, Job, Record, RunEnd
-from orchestrator.engine.result import Result, RunFailed, SignalError, signal_errors
+from orchestrator.engine.job import Job, Options, is_late
+from orchestrator.engine.result import Result, RunEnd, RunFailed, SignalError, signal_errors
 from orchestrator.engine.time_grid import Grid, step_length
-from orchestrator.ssp.coupling import LARGEST_STEP, Coupling
+from orchestrator.ssp.coupling import LARGEST_STEP, Coupling, take_coupling
 from orchestrator.ssp.dependencies import influential_inputs
+from orchestrator.ssp.masters import Master
 from orchestrator.ssp.power_bonds import ANGULAR_VELOCITY, VELOCITY, find_bonds
 from orchestrator.ssp.system import Port, System
 
@@ -114,24 +115,33 @@ class AccuracySearch:
     runs       number of those before it
     """
 
-    def __init__(self, system: System, execution: Execution, accuracy: float) -> None:
-        """The RMS error of outputs over their range is to be at most `accuracy`.
+    def __init__(self, system: System, options: Options) -> None:
+        """The RMS error of outputs over their range is to be at most the accuracy of the options.
 
         Outputs without a choice: velocities of power bonds, else all. Tolerance of the FMUs without a choice:
         by the accuracy.
 
-        Raises Problem for an accuracy out of range and for patterns without outputs.
+        Raises Problem for an accuracy out of range, for patterns without outputs, and for a choice that the
+        search makes.
         """
+        accuracy: float = options["accuracy"]
+        chosen = {"step": options.get("step"), **take_coupling({**options})}
+        if isinstance(master := chosen.get("master"), Master):
+            chosen["master"] = master.name
+        for name, value in chosen.items():
+            if value is not None:
+                asked = f"accuracy {accuracy:g}"
+                raise Problem(f"{asked}: expected no {name}, which follows from it, got {value}")
         low, high = RANGE
         if not low <= accuracy <= high:
             raise Problem(f"accuracy: expected {low:g} to {high:g}, got {accuracy:g}")
         interfaces = [component.interface for component in system.components.values()]
-        self.accuracy, self.decisive = accuracy, decisive_signals(system, execution.accuracy_of)
-        self._execution = execution
+        self.accuracy, self.decisive = accuracy, decisive_signals(system, options.get("accuracy_of") or ())
+        self._given = options
         self._nominals = {name: system.variable(system.port(name)).nominal for name in self.decisive}
         self._least, self._idle, self.runs = math.inf, 0, 0
         self._previous: Result | None = None
-        self._tolerance = execution.tolerance or fmu_tolerance(accuracy)
+        self._tolerance = options.get("tolerance") or fmu_tolerance(accuracy)
         self._repeats = all(i.rollback for i in interfaces)
         self._adapts = self._repeats and all(i.variable_step for i in interfaces)
         self._estimates = estimates_errors(system)
@@ -149,9 +159,20 @@ class AccuracySearch:
         self.settings = self._best = self._first()
 
     @property
-    def signals(self) -> list[str]:
-        """The signals that have to be recorded."""
-        return list(dict.fromkeys((*self.decisive, *self._causes)))
+    def options(self) -> Options:
+        """Those of the next run, which records the signals that decide."""
+        given, settings = self._given, self.settings
+        found = {
+            **given,
+            "master": settings.coupling,
+            "tolerance": settings.tolerance,
+            "error_estimate": True,
+        }
+        if settings.step is not None:
+            found["step"] = settings.step
+        if (record := given.get("record")) is not None:
+            found["record"] = [*record, *self.decisive, *self._causes]
+        return found
 
     def _first(self) -> Settings:
         if not self._estimates:
@@ -172,10 +193,10 @@ class AccuracySearch:
         times = job.times
         span, unit = times.stop - times.start, self._base / GOLDEN
         looks = max(min(LOOKS_WITH_SLOPES if slopes else LOOKS, MOST_LOOKS * unit / span), 1.0)
-        execution = replace(job.execution, error_estimate=False, until=None)
-        system, record = System(job.system.name, components), Record([str(port) for port in ports])
+        options = {**job.options, "record": [str(port) for port in ports], "error_estimate": False}
+        options.pop("until", None)
         close = Grid(times.start, unit / looks, math.ceil(span / unit * looks))
-        return Job(system, None, close, Coupling("jacobi"), record, execution)
+        return Job(System(job.system.name, components), None, close, Coupling("jacobi"), options)
 
     def heed(self, end: RunEnd, looks: TraceSink) -> None:
         """Take no steps that would not see what sources do, before the first run; see `sources_alone`."""
@@ -229,7 +250,7 @@ class AccuracySearch:
         """Choose stricter settings after a run that failed; False without time, or after too many runs."""
         self.runs += 1
         self._next(math.inf)
-        return self.runs < MOST_RUNS and not self._execution.late
+        return self.runs < MOST_RUNS and not is_late(self._given)
 
     def _changes(self, result: Result, previous: Result | None) -> Iterator[SignalError]:
         """The errors by the changes since the run before: at order 1; at higher orders they are smaller."""
@@ -242,10 +263,10 @@ class AccuracySearch:
         self._idle = self._idle + 1 if last_resort and error > STAGNATION * self._least else 0
         if error < self._least:
             self._least, self._best = error, self.settings
-        stagnates, late = self._idle >= PATIENCE and self._least < math.inf, self._execution.late
+        stagnates, late = self._idle >= PATIENCE and self._least < math.inf, is_late(self._given)
         shortest = (self.settings.step or math.inf) < RATIO * SHORTEST * self._base
         if stagnates or late or shortest or self.runs >= MOST_RUNS:
-            after = f"{self._execution.time_limit:g} s" if late else f"{self.runs} runs"
+            after = f"{self._given['time_limit']:g} s" if late else f"{self.runs} runs"
             why = "further runs hardly change it" * stagnates or f"after {after}"
             known, settings = self._least < math.inf, self._best.text
             reached = f"estimated RMS error {self._least:.1e} of the range with {settings}; " * known
@@ -315,15 +336,6 @@ def seen(values: NDArray[np.float64], most: int, part: float) -> int:
             break
         samples = 2 * samples // 3
     return samples
-
-
-def largest(values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """The largest of each `count` values in a row, shape (n - count + 1,)."""
-    width = 1
-    while 2 * width <= count:
-        values, width = np.maximum(values[:-width], values[width:]), 2 * width
-    rest = count - width
-    return np.maximum(values[: len(values) - rest], values[rest:])
 
 
 def _jumps(trace: Trace, name: str) -> bool:

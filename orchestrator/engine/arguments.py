@@ -137,6 +137,8 @@ class FaultArguments(TypedDict, total=False):
 class ProcessArguments(TypedDict, total=False):
     """Options of a run in Python only.
 
+    record      Names of the signals to record, or patterns such as "boom_*"; default: all outputs, all
+                connected inputs and all inputs of the system.
     bonds       Power bonds, as pairs of input names, whose energy error is recorded; default: those that
                 follow from the units.
     progress    Show a progress bar if the run takes longer than a second.
@@ -145,6 +147,7 @@ class ProcessArguments(TypedDict, total=False):
                 `orchestrator.fmi.calls.Slave`; a function other than `open_slave` needs this process.
     """
 
+    record: Patterns
     bonds: Sequence[tuple[str, str]] | None
     progress: bool | None
     isolate: bool | None

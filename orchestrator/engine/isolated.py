@@ -6,7 +6,8 @@ at a limit, and finds out which call into which FMU was in progress. The points 
 sent, and the state of the simulation, are in files that the child maps into its memory and that survive the
 child.
 
-The process is started before the parent has read the system, and one idle process is kept for the next run.
+The process is started before the parent has read the system, and one idle process is kept for the next run;
+`many` keeps more of them.
 """
 
 from __future__ import annotations
@@ -18,17 +19,18 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
-from orchestrator.worker.process import GARBLED, LimitExceeded, Worker, read_file
+from orchestrator.worker.process import GARBLED, LimitExceeded, Pool, Worker, read_file
 
 if TYPE_CHECKING:
     from orchestrator.data.trace_writer import Array, Points, RowLayout, TraceSink
-    from orchestrator.engine.job import Job, RunEnd
+    from orchestrator.engine.job import Job
+    from orchestrator.engine.result import RunEnd
     from orchestrator.fmi.messages import LogMessage
     from orchestrator.worker.main import Channel
 
@@ -39,19 +41,10 @@ MAX_MESSAGES = 1000  # of FMUs that are kept for a message after a crash
 STOP = "stop"  # message to the child
 TARGET = "orchestrator.engine.isolated:main"
 
-_idle: list[tuple[Worker, dict[str, str]]] = []  # with the environment variables at its start
+# One of many runs uses one thread, because there is one on every core.
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")}
+
 _numbers = count(1)  # of runs
-_of_parent: list[Any] = []  # in a forked process; never closed there
-
-
-def _after_fork() -> None:
-    """Leave the idle process to the parent."""
-    _of_parent.extend(_idle)
-    _idle.clear()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
 
 
 @dataclass(frozen=True)
@@ -62,7 +55,8 @@ class RunTask:
     directory      the working directory
     path           where modules are found
     keeps_errors   send estimated errors to the parent
-    cores          threads of the run, at most
+    many           one of many runs of the same FMUs, side by side: one thread, and it does not matter if
+                   their libraries keep threads for the next run
     """
 
     job: Job
@@ -70,7 +64,7 @@ class RunTask:
     directory: str
     path: list[str]
     keeps_errors: bool
-    cores: int
+    many: bool
 
 
 # ---- the parent
@@ -78,14 +72,18 @@ class RunTask:
 
 def start_process() -> None:
     """Start a process for the next run, if none is idle."""
-    if not _idle:
-        _idle.append((Worker(TARGET, _contents, "run"), dict(os.environ)))
+    _single.warm()
+
+
+def processes() -> Pool:
+    """Processes for many runs of the same FMUs, side by side."""
+    return Pool(lambda: Worker(TARGET, _contents, "run", environment=ONE_THREAD))
 
 
 def _contents() -> Mapping[str, Any]:
     """What the child may send."""
     from orchestrator.data.trace_writer import Array, Points, RowLayout
-    from orchestrator.engine.job import RunEnd
+    from orchestrator.engine.result import RunEnd
     from orchestrator.fmi.messages import LogMessage
 
     errors = tuple[tuple[str, ...], Array, Array]
@@ -93,16 +91,19 @@ def _contents() -> Mapping[str, Any]:
     return types | {"time": float, "closed": bool} | dict.fromkeys(("problem", "failed"), str)
 
 
+_single = Pool(lambda: Worker(TARGET, _contents, "run"), kept=1)
+
+
 def run_isolated(
     job: Job,
     sink: TraceSink,
     between: Callable[[float], bool] = lambda _: False,
-    cores: int | None = None,
+    pool: Pool | None = None,
 ) -> RunEnd:
     """Run a job in a child process.
 
     between   called with the simulated time [s] all the while; returns True to end the run
-    cores     threads of the run, at most; default: one per core
+    pool      that of many runs side by side, see `processes`
 
     Raises Problem if the run does not begin, KeyboardInterrupt if the user ends it before.
     """
@@ -110,8 +111,8 @@ def run_isolated(
 
     outcome: RunEnd | None = None
     try:
-        with DeferredInterrupts(second_at_once=False) as interrupts, _process() as worker:
-            supervision = _Supervision(worker, job, sink, cores or os.cpu_count() or 1)
+        with DeferredInterrupts(second_at_once=False) as interrupts, (pool or _single).worker() as worker:
+            supervision = _Supervision(worker, job, sink, many=pool is not None)
             outcome = supervision.outcome(interrupts.check, between)
     except KeyboardInterrupt:  # one that came when the run had ended, or before it has begun
         if outcome is None:
@@ -120,45 +121,22 @@ def run_isolated(
     return outcome
 
 
-@contextmanager
-def _process() -> Iterator[Worker]:
-    """An idle process, else a new one; kept for the next run unless this one fails."""
-    try:
-        worker, environment = _idle.pop()
-    except IndexError:  # also if runs are in several threads
-        worker, environment = Worker(TARGET, _contents, "run"), dict(os.environ)
-    if environment != dict(os.environ) or not worker.alive:
-        worker.close()
-        worker, environment = Worker(TARGET, _contents, "run"), dict(os.environ)
-    try:
-        worker.forget_printed()
-        yield worker
-    except BaseException:
-        worker.close()
-        raise
-    if worker.alive and worker.reusable and not _idle:
-        _idle.append((worker, environment))
-    else:
-        worker.close()
-
-
 class _Supervision:
     """One run in a child process, seen from the parent."""
 
-    def __init__(self, worker: Worker, job: Job, sink: TraceSink, cores: int) -> None:
-        execution = job.execution
+    def __init__(self, worker: Worker, job: Job, sink: TraceSink, many: bool) -> None:
         self._worker, self._times, self._sink, self._t = worker, job.times, sink, job.times.start
-        self._limits, self._command_began = execution.worker_limits, execution.began
+        self._limits, self._limited_from = job.worker_limits, job.command_began
         worker.fmus = job.system.fmus
         self._outputs = {str(port) for port in job.system.ports("output")}
         self._layout: RowLayout | None = None
         self._outcome: RunEnd | None = None
         self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
         self._number = next(_numbers)
-        task = RunTask(job, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, cores)
+        task = RunTask(job, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, many)
         worker.put(task)
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
-        self._interrupted = False
+        self._interrupted, self._limit = False, ""
 
     def outcome(self, check: Callable[[], None], between: Callable[[float], bool]) -> RunEnd:
         """Wait for the end of the run; both functions may raise KeyboardInterrupt to interrupt it."""
@@ -179,12 +157,13 @@ class _Supervision:
                 check()
                 ends = between(self._t)
                 if not self._killed_because:
-                    self._worker.check_limits(self._limits, self._command_began)
+                    self._worker.check_limits(self._limits, self._limited_from)
             except KeyboardInterrupt:
                 if self._interrupted:
                     self._kill("interrupted")
                 ends = self._interrupted = True
             except LimitExceeded as limit:
+                self._limit = "time_limit" if limit.timed_out else "memory_limit"
                 self._kill(str(limit))
             if ends and self._kill_at == float("inf"):
                 self._worker.put(STOP)
@@ -200,6 +179,7 @@ class _Supervision:
         """Handle one message of the child, whose types are right; its values may not be."""
         from orchestrator.base.errors import Problem, one_line
 
+        self._limited_from = min(self._limited_from, time.monotonic())
         if name == "points" and self._follow(content):
             self._sink.append_points(*content)
         elif name == "errors" and self._are_errors(*content):
@@ -246,29 +226,31 @@ class _Supervision:
 
     def _ended_by_fmu(self) -> RunEnd:
         """The outcome of a run whose process ended: by a call into an FMU, by an interrupt, or at a limit."""
-        from orchestrator.base.errors import Problem
+        from orchestrator.base.errors import LimitReached, Problem
         from orchestrator.base.text import grouped
-        from orchestrator.engine.job import RunEnd
+        from orchestrator.engine.result import RunEnd
         from orchestrator.fmi.messages import Log
 
         interrupted = self._interrupted and self._killed_because == "interrupted"
         message = self._cause()
+        if self._layout is None and interrupted:
+            raise KeyboardInterrupt(message)
+        first = f"{self._outcome.problem}; then " if self._outcome and self._outcome.problem else ""
+        message = f"{first}{message}"  # many FMUs crash when they are freed
+        problem = LimitReached(message, self._limit) if self._limit else Problem(message)
         if self._layout is None:
-            raise KeyboardInterrupt(message) if interrupted else Problem(message)
+            raise problem
         outcome = self._outcome or RunEnd(self._times.start)
         if self._outcome is None:
             self._rescue(outcome, self._layout)
             by_component = grouped(self._messages, lambda message: message.component)
             outcome.logs = tuple(Log(name, messages=texts) for name, texts in by_component.items())
-        outcome.interrupted, outcome.died = interrupted, True
-        first = f"{outcome.problem}; then " if outcome.problem else ""  # many FMUs crash when they are freed
-        outcome.problem = Problem(f"{first}{message}")
+        outcome.interrupted, outcome.died, outcome.problem = interrupted, True, problem
         return outcome
 
     def _cause(self) -> str:
         """The FMU, what happened, and in which call, in one line."""
-        cause, where = self._killed_because or self._worker.ending, self._worker.where
-        cause = cause.replace("exit status", "the process ended with exit status")
+        cause, where = self._killed_because or self._worker.cause, self._worker.where
         if cause == "interrupted":
             return where
         process = (
@@ -321,7 +303,7 @@ def main(channel: Channel) -> None:
     import traceback
 
     from orchestrator.base.errors import Problem
-    from orchestrator.engine import open_job  # noqa: F401  imported while the parent reads the system
+    from orchestrator.engine import simulation_loop  # noqa: F401  imported while the parent reads the system
     from orchestrator.engine.c_library import library
     from orchestrator.worker.main import left_behind
 
@@ -332,11 +314,11 @@ def main(channel: Channel) -> None:
         if task == STOP:  # of a run that has ended meanwhile
             continue
         try:
-            before = left_behind(channel)
+            before = left_behind(channel, threads=not task.many)
             _run(channel, task)
             if os.name == "posix":  # what FMUs printed may wait in the buffer of the C library
                 ctypes.CDLL(None).fflush(None)
-            channel.put("closed", left_behind(channel) == before)
+            channel.put("closed", left_behind(channel, threads=not task.many) == before)
         except Problem as problem:
             channel.put("problem", problem)
         except (OSError, MemoryError) as error:  # an FMU may have changed the limits of this process
@@ -351,15 +333,15 @@ def main(channel: Channel) -> None:
 def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.base.errors import Problem
     from orchestrator.data.trace_writer import TraceSink
-    from orchestrator.engine import open_job
     from orchestrator.engine.job import open_slave
-    from orchestrator.engine.open_job import run_job
+    from orchestrator.engine.simulation_loop import run_job
     from orchestrator.fmi.calls import Slave
     from orchestrator.ssp.system import Component
 
+    channel.put("time", task.job.times.start)
     os.chdir(task.directory)
     sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
-    open_job.CORES, reported = task.cores, 0.0
+    reported = 0.0
 
     class Sender(TraceSink):
         """Sends points to the parent."""
@@ -402,5 +384,6 @@ def _run(channel: Channel, task: RunTask) -> None:
             reason = error.strerror or str(error)
             raise Problem(f"{channel.folder}: a temporary file cannot be written: {reason}") from None
 
-    job = replace(task.job, execution=replace(task.job.execution, open=open_fmu))
-    run_job(job, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate)
+    job = replace(task.job, options={**task.job.options, "open": open_fmu})
+    cores = 1 if task.many else None
+    run_job(job, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate, cores)

@@ -1,4 +1,4 @@
-"""What a run is: a system and all choices for it, and how it ends."""
+"""What a run is: a system and all choices for it, and what it results in."""
 
 from __future__ import annotations
 
@@ -6,30 +6,46 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.options import checked, declarations
 from orchestrator.base.processes import machine_memory
+from orchestrator.base.signals import matching
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import SAME_TIME, Trace
 from orchestrator.data.trace_writer import TraceSink
+from orchestrator.engine.arguments import RunArguments, SystemArguments
 from orchestrator.engine.result import (
     DIVIDED,
     SHORTER,
-    BondEnergy,
     Card,
-    EstimatedError,
+    Interrupted,
+    Result,
+    RunEnd,
+    RunFailed,
     relative_errors,
     unreliable_energies,
     unreliable_errors,
 )
-from orchestrator.engine.scenario import Scenario
-from orchestrator.engine.time_grid import Grid
+from orchestrator.engine.scenario import (
+    Scenario,
+    ScenarioFile,
+    ScenarioSource,
+    drive,
+    read_scenario,
+    with_changes,
+)
+from orchestrator.engine.time_grid import Grid, grid, time_span
+from orchestrator.engine.until import Comparison, condition
 from orchestrator.fmi.interface import MODEL_EXCHANGE
-from orchestrator.fmi.messages import Log
-from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Coupling
+from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Coupling, take_coupling
+from orchestrator.ssp.load import configured
 from orchestrator.ssp.masters import Master
-from orchestrator.ssp.provenance import Provenance
+from orchestrator.ssp.parameter_sets import SUFFIX as SSV
+from orchestrator.ssp.plausible import doubtful_columns, doubtful_starts, refuse_long, with_doubts
+from orchestrator.ssp.provenance import Provenance, built_notes, provenance
 from orchestrator.ssp.system import Component, System
 from orchestrator.worker.process import WorkerLimits
 
@@ -54,141 +70,164 @@ def open_slave(component: Component) -> Slave:
     return CoSimulationFmu(component.name, component.interface, component.source, component.start)
 
 
-@dataclass(frozen=True)
-class Record:
-    """Selection of signals, points and power bonds to record.
+# Of `run`, in SI units, without those that nobody chose; deadline: end of the time limit of all runs of a
+# command, by `time.monotonic` [s].
+Options: TypeAlias = Mapping[str, Any]
 
-    signals   names; default: all outputs, all connected inputs and all inputs of the system
-    step      interval between recorded points [s], a multiple of the communication step; adaptive runs hit
-              the points exactly; the first and the last point are always recorded; default: every
-              communication point
-    bonds     power bonds, as pairs of input names, whose energy error is recorded; default: those that follow
-              from the units
+
+def begun(
+    system: System | str | Path, scenario: ScenarioSource, options: Options
+) -> tuple[System, ScenarioFile, Options]:
+    """The system with the choices of the options, the scenario read, and the options, whose time begins.
+
+    If that has been done, all of them as they are.
     """
-
-    signals: Sequence[str] | None = None
-    step: float | None = None
-    bonds: Sequence[tuple[str, str]] | None = None
-
-
-@dataclass(frozen=True)
-class Execution:
-    """Options of `run` that do not change the system, by the same names.
-
-    error_estimate   "fast": without a measurement that needs two steps of each FMU by `hermite` and
-                     `interface-jacobian`
-    time_limit       of all runs of a command together, see `begun`
-    memory_limit     [GB]
-    open             a function other than `open_slave` needs this process
-    until            condition that ends the run, see `engine.until`
-    deadline         end of the time limit, by `time.monotonic` [s]
-    """
-
-    tolerance: float | None = None
-    error_estimate: bool | Literal["fast"] = False
-    accuracy: float | None = None
-    accuracy_of: Sequence[str] = ()
-    progress: bool = False
-    isolate: bool = True
-    time_limit: float = math.inf
-    memory_limit: float = math.inf
-    open: Opener = open_slave
-    until: Any = None
-    deadline: float = math.inf
-
-    def begun(self) -> Execution:
-        """These options from now on: the time limit ends all runs that follow."""
-        time_limit = math.inf if self.time_limit is None else self.time_limit
-        memory_limit = math.inf if self.memory_limit is None else self.memory_limit
-        deadline = time.monotonic() + time_limit
-        return replace(self, time_limit=time_limit, memory_limit=memory_limit, deadline=deadline)
-
-    @property
-    def late(self) -> bool:
-        """Has the time limit passed?"""
-        return time.monotonic() >= self.deadline
-
-    @property
-    def worker_limits(self) -> WorkerLimits:
-        """The limits of a process; their time begins with the command."""
-        memory = min(1e9 * self.memory_limit, machine_memory())
-        return WorkerLimits(total_time=self.time_limit, memory=memory)
-
-    @property
-    def began(self) -> float:
-        """When the command began, by `time.monotonic` [s]; of use only with a time limit."""
-        return self.deadline - self.time_limit
-
-    @property
-    def isolated(self) -> bool:
-        """Is the run in a process of its own?"""
-        return self.isolate and self.open is open_slave
-
-    def check(self, own: Master | None = None) -> None:
-        """Refuse options that have no effect, and limits that cannot be enforced; own: a user's master."""
-        if self.accuracy_of and self.accuracy is None:
-            raise Problem(f"accuracy_of {self.accuracy_of[0]}: expected an accuracy, got none")
-        if self.error_estimate not in (True, False, "fast"):
-            raise Problem(f'error_estimate: expected True, False or "fast", got {self.error_estimate!r}')
-        here = [] if self.isolate else ["isolate=False"]
-        here += [] if self.open is open_slave else ["a function `open`"]
-        here += [f"master {own.name}"] if own else []
-        for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
-            if not limit > 0:
-                raise Problem(f"{name}: expected a positive number, got {limit:g}")
-            if limit < math.inf and here:
-                got = f"got {here[0]}, which needs the calling process"
-                raise Problem(f"{name}: expected a run in a process of its own, {got}")
+    if isinstance(system, System) and isinstance(scenario, ScenarioFile) and "deadline" in options:
+        return system, scenario, options
+    given = checked(RunArguments, options, "run")
+    given["deadline"] = time.monotonic() + given.get("time_limit", math.inf)
+    of_system = {name: value for name, value in given.items() if name in declarations(SystemArguments)}
+    return configured(system, **of_system), read_scenario(scenario), given
 
 
-@dataclass
-class RunEnd:
-    """How a run ended, without its rows.
+def is_late(options: Options) -> bool:
+    """Has the time limit passed?"""
+    deadline: float = options.get("deadline", math.inf)
+    return time.monotonic() >= deadline
 
-    t             simulated until this time [s]
-    steps, ...    as in `Card`
-    errors        estimated during the run, by output
-    logs          messages of the FMUs
-    notes         remarks on the run
-    problem       why the run ended early; None if it is complete
-    interrupted   the user ended it
-    died          the process of the run has ended
-    """
 
-    t: float
-    steps: int = 0
-    passes: int = 0
-    repeated: int = 0
-    lengths: tuple[float, float] = (0.0, 0.0)
-    wall: float = 0.0
-    bonds: tuple[BondEnergy, ...] = ()
-    errors: Mapping[str, EstimatedError] = field(default_factory=dict)
-    inside: Mapping[str, float] = field(default_factory=dict)
-    logs: tuple[Log, ...] = ()
-    notes: tuple[str, ...] = ()
-    problem: Problem | None = None
-    interrupted: bool = False
-    died: bool = False
+def isolated(options: Options) -> bool:
+    """Is the run in a process of its own?"""
+    return bool(options.get("isolate", True)) and options.get("open", open_slave) is open_slave
 
-    @property
-    def complete(self) -> bool:
-        """Did the run reach its stop time, or the time at which an FMU asked to end it?"""
-        return self.problem is None and not self.interrupted
+
+def _check(options: Options, own: Master | None) -> None:
+    """Refuse options that have no effect, and limits that cannot be enforced; own: a user's master."""
+    if options.get("accuracy_of") and "accuracy" not in options:
+        raise Problem(f"accuracy_of {options['accuracy_of'][0]}: expected an accuracy, got none")
+    if (estimate := options.get("error_estimate", False)) not in (True, False, "fast"):
+        raise Problem(f'error_estimate: expected True, False or "fast", got {estimate!r}')
+    here = [] if options.get("isolate", True) else ["isolate=False"]
+    here += [] if options.get("open", open_slave) is open_slave else ["a function `open`"]
+    here += [f"master {own.name}"] if own else []
+    for name in ("time_limit", "memory_limit"):
+        limit = options.get(name, math.inf)
+        if not limit > 0:
+            raise Problem(f"{name}: expected a positive number, got {limit:g}")
+        if limit < math.inf and here:
+            got = f"got {here[0]}, which needs the calling process"
+            raise Problem(f"{name}: expected a run in a process of its own, {got}")
 
 
 @dataclass(frozen=True)
 class Job:
-    """A run: a system, its communication points and all other choices; provenance: of files and values."""
+    """A run: a system, its communication points and all other choices.
+
+    options      of `run`; `record` has names only
+    provenance   of files and values
+    """
 
     system: System
     scenario: Scenario | None
     times: Grid
     coupling: Coupling
-    record: Record = Record()
-    execution: Execution = Execution()
+    options: Options = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
 
-    def card(self, end: RunEnd, sink: TraceSink, trace: Trace) -> Card:
+    @classmethod
+    def of(
+        cls,
+        system: System | str | Path,
+        scenario: ScenarioSource = None,
+        options: Options | None = None,
+    ) -> Job:
+        """The job of a run with the arguments of `run`; raises Problem for a mistake."""
+        system, given, options = begun(system, scenario, options or {})
+        choices = take_coupling({**options})
+        system = system.coupled(choices) if choices else system
+        coupling = system.coupling or Coupling()
+        _check(options, coupling.method if coupling.method.own else None)
+        if coupling.method.own:
+            options = {**options, "isolate": False}
+        step, start, stop = (options.get(name) for name in ("step", "start", "stop"))
+        (trace, label, file), set_values = given, options.get("set") or {}
+        if fault := options.get("fault"):
+            ends = time_span(system, trace, start, stop)
+            trace, label = with_changes(system, trace, fault, ends[:2]), label if trace else "fault"
+        columns = trace.signals if trace is not None else ()
+        system = system.noted(
+            *system.suggestion.notes(step is not None),
+            *built_notes(system),
+            *system.differences(system.common),
+            *system.without_effect([*set_values, *columns]),
+        )
+        driving = None if trace is None else drive(system, trace, label)
+        if driving:
+            system = driving.released(system)
+            system = system.noted(*driving.overruled(system, set_values))
+        system = with_doubts(system, doubtful_starts(system))
+        if driving and trace is not None:
+            if stop is None and not options.get("yes"):
+                refuse_long(system, trace, label)
+            system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
+        system = with_default_guard(system, step)
+        coupling = system.coupling or Coupling()
+        coupling.check(system.components)
+        divides = coupling.adaptive is not None or guarded(system, coupling)
+        span, fitted = (step, start, stop), "accuracy" in options
+        times = grid(system, trace, *span, options.get("record_step"), fitted)
+        if driving:
+            driving, times = driving.on(times, system, divides)
+        options = _resolved(options, system)
+        ssv = [s for s in options.get("parameters") or () if str(s).endswith(SSV)]
+        files = [*ssv, *([file] if file else [])]
+        return Job(system, driving, times, coupling, options, provenance(system, files))
+
+    @property
+    def signals(self) -> Sequence[str] | None:
+        """The names of the signals to record; None: all outputs and inputs."""
+        record: Sequence[str] | None = self.options.get("record")
+        return record
+
+    @property
+    def worker_limits(self) -> WorkerLimits:
+        """The limits of a process; their time begins with the command."""
+        memory = min(1e9 * self.options.get("memory_limit", math.inf), machine_memory())
+        return WorkerLimits(total_time=self.options.get("time_limit", math.inf), memory=memory)
+
+    @property
+    def command_began(self) -> float:
+        """When the command began, by `time.monotonic` [s]; of use only with a time limit.
+
+        Infinite if the limit is that of a run, without the start of its process.
+        """
+        began: float = self.options.get("deadline", math.inf) - self.options.get("time_limit", math.inf)
+        return began
+
+    def result(self, end: RunEnd, sink: TraceSink) -> Result:
+        """The result of a complete run; raises RunFailed or Interrupted with the result of another one."""
+        trace = sink.trace
+        messages = sorted((m for log in end.logs for m in log.messages), key=lambda m: m.time)
+        card = self._card(end, sink, trace)
+        result = Result(
+            self.system,
+            trace,
+            card,
+            tuple(messages),
+            end.complete,
+            self.coupling,
+            self.provenance,
+            sink.errors,
+        )
+        if end.interrupted:
+            raise Interrupted(result, str(end.problem or ""))
+        if end.problem:
+            cause = card.likely_cause(self.coupling.method.repeats)
+            problem = Problem(f"{end.problem}; {cause}") if cause else end.problem
+            raise RunFailed(problem, result, end.died) from end.problem
+        return result
+
+    def _card(self, end: RunEnd, sink: TraceSink, trace: Trace) -> Card:
         """The accuracy card of a run that has ended, with this trace."""
         times, adaptive, simulated = self.times, self.coupling.adaptive, end.t - self.times.start
         interfaces = {name: component.interface for name, component in self.system.components.items()}
@@ -244,7 +283,20 @@ def with_default_guard(system: System, step: float | None) -> System:
     note = f"{first_names(shorter)}: steps of {min(shorter.values()):g} s are suggested"
     guard = replace(coupling, guard=SHORTER_STEP_GUARD)
     if not guarded(system, guard):
-        return replace(system, notes=(*system.notes, f"{note}; this run has steps of {length:g} s"))
+        return system.noted(f"{note}; this run has steps of {length:g} s")
     reason = f"those of {length:g} s are divided where an input is off by {SHORTER_STEP_GUARD:g} (guard)"
-    suggestion = replace(system.suggestion, coupling=guard)
-    return replace(system, suggestion=suggestion, notes=(*system.notes, f"{note}; {reason}"))
+    return replace(system, suggestion=replace(system.suggestion, coupling=guard)).noted(f"{note}; {reason}")
+
+
+def _resolved(options: Options, system: System) -> Options:
+    """The options with a condition in place of a text, and with names in place of patterns."""
+    found = {**options}
+    until, record = options.get("until"), options.get("record")
+    if until is not None:
+        found["until"] = until = condition(system, until)
+    if record is not None:
+        names = [str(port) for causality in ("output", "input") for port in system.ports(causality)]
+        wanted = [name for pattern in record for name in matching(names, pattern) or [pattern]]
+        wanted += [until.signal] if isinstance(until, Comparison) else []
+        found["record"] = tuple(dict.fromkeys(wanted))
+    return found

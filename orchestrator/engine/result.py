@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, write_whole
 from orchestrator.base.options import Seconds
-from orchestrator.base.signals import CONSTANT, CONSTANT_OF_NOMINAL, rms
+from orchestrator.base.signals import CONSTANT, CONSTANT_OF_NOMINAL, largest, rms
 from orchestrator.base.text import TextTable, first_names, grouped
 from orchestrator.data.table import SUFFIXES, Array
 from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, read_origin, write_trace
-from orchestrator.fmi.messages import LogMessage
+from orchestrator.fmi.messages import Log, LogMessage
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.power_bonds import find_bonds
 from orchestrator.ssp.provenance import Provenance
@@ -157,7 +157,6 @@ class Result(Mapping[str, NDArray[np.float64]]):
         """
         if self.errors is None:
             return None
-        from orchestrator.engine.accuracy import largest
 
         near = {n: np.pad(np.abs(e), NEARBY) for n, e in self.errors.signals.items()}
         signals = {name: BAND * largest(values, 2 * NEARBY + 1) for name, values in near.items()}
@@ -377,6 +376,41 @@ class Card:
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
         lines += ["", *(f"warning: {w}" for w in self.warnings)] if self.warnings else []
         return "\n".join(lines)
+
+
+@dataclass
+class RunEnd:
+    """How a run ended, without its rows.
+
+    t             simulated until this time [s]
+    steps, ...    as in `Card`
+    errors        estimated during the run, by output
+    logs          messages of the FMUs
+    notes         remarks on the run
+    problem       why the run ended early; None if it is complete
+    interrupted   the user ended it
+    died          the process of the run has ended
+    """
+
+    t: float
+    steps: int = 0
+    passes: int = 0
+    repeated: int = 0
+    lengths: tuple[float, float] = (0.0, 0.0)
+    wall: float = 0.0
+    bonds: tuple[BondEnergy, ...] = ()
+    errors: Mapping[str, EstimatedError] = field(default_factory=dict)
+    inside: Mapping[str, float] = field(default_factory=dict)
+    logs: tuple[Log, ...] = ()
+    notes: tuple[str, ...] = ()
+    problem: Problem | None = None
+    interrupted: bool = False
+    died: bool = False
+
+    @property
+    def complete(self) -> bool:
+        """Did the run reach its stop time, or the time at which an FMU asked to end it?"""
+        return self.problem is None and not self.interrupted
 
 
 def bonds_above(bonds: Sequence[BondEnergy], limit: float) -> list[BondEnergy]:

@@ -7,19 +7,20 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, Unsupported, suggest
-from orchestrator.base.files import SIMILAR
+from orchestrator.base.files import SIMILAR, Location, find
 from orchestrator.base.options import seconds
 from orchestrator.base.signals import bare_name
 from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, LinearTransformation, from_user_unit
-from orchestrator.data.table import Array
-from orchestrator.data.trace import JUMP, Trace
+from orchestrator.data.table import READABLE, Array
+from orchestrator.data.trace import JUMP, Data, Trace, as_trace, read_trace
 from orchestrator.fmi.description import WHOLE, FmuVariable, Value
 from orchestrator.ssp.system import Port, System
 
@@ -33,6 +34,28 @@ ALWAYS_CORNER = 1e-3  # above this value the sample is a corner
 NEVER_CORNER = 1e-6  # below this value the sample is not a corner
 # between them it is a corner if the change exceeds those at both neighbours by this factor
 CORNER_RATIO = 10.0
+
+
+class ScenarioFile(NamedTuple):
+    """The scenario of a user: its trace, its name in messages, and its file; None without them."""
+
+    trace: Trace | None
+    label: str
+    file: Path | Location | None
+
+
+ScenarioSource: TypeAlias = "Data | str | Path | Location | ScenarioFile | None"
+
+
+def read_scenario(scenario: ScenarioSource) -> ScenarioFile:
+    """The scenario in a file or in other data; once read, as it is."""
+    if isinstance(scenario, ScenarioFile):
+        return scenario
+    if isinstance(scenario, str | Path):
+        scenario = find(scenario, READABLE)
+    if isinstance(scenario, Path | Location):
+        return ScenarioFile(read_trace(scenario), str(scenario), scenario)
+    return ScenarioFile(None if scenario is None else as_trace(scenario, "scenario"), "scenario", None)
 
 
 class ScenarioTable:

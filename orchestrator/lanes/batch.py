@@ -1,14 +1,14 @@
 """`batch`: simulates many machines that differ in parameters and start values.
 
-Machines of native FMUs of this project run in the vector lanes of all cores (`lanes`), others one by one in
-processes (`one_by_one`).
+Machines of native FMUs of this project run in the vector lanes of all cores (`group`), others one by one in
+processes, so that a crash of an FMU ends only one machine (`many`).
 """
 
-import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.interrupts import in_threads
 from orchestrator.base.options import checked, documented
 from orchestrator.base.processes import available_cores, machine_memory
 from orchestrator.base.signals import completions, found
@@ -24,13 +23,13 @@ from orchestrator.base.text import first_names
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, dataset
 from orchestrator.engine.arguments import BatchArguments
-from orchestrator.engine.job import Execution, Job
+from orchestrator.engine.job import Job
 from orchestrator.engine.result import Interrupted
-from orchestrator.engine.run import ScenarioSource, prepare
+from orchestrator.engine.scenario import ScenarioSource
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import LANES, NotInLanes
-from orchestrator.lanes.group import FAILED, NOT_RELIABLE, OK, Ended, Group, Lanes
-from orchestrator.lanes.one_by_one import run_one_by_one
+from orchestrator.lanes.group import NOT_RELIABLE, OK, Ended, Lanes
+from orchestrator.lanes.many import BY_USER, Runs, in_threads
 from orchestrator.ssp.masters import MASTERS
 from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
@@ -119,11 +118,7 @@ def batch(
     """
     given = checked(BatchArguments, options, "batch")
     workers = given.pop("workers", None) or available_cores()
-    limits = {name: given.pop(name) for name in ("time_limit", "memory_limit") if name in given}
-    execution = Execution(**limits).begun()
-    execution.check()
-    job = prepare(system, scenario, record, Execution(isolate=False), **given)
-    job = replace(job, execution=replace(execution, isolate=False, tolerance=job.execution.tolerance))
+    job = Job.of(system, scenario, {**given, "record": record})
     if job.coupling.method.own:
         got = f"got {job.coupling.method.name}, whose functions are in the calling process"
         raise Problem(f"batch: expected one of the masters {', '.join(MASTERS)}, {got}")
@@ -133,8 +128,7 @@ def batch(
             "batch: expected a record step for adaptive steps, so that all machines have the same points"
         )
     arrays_in, count = machine_values(job, values)
-    record = job.record.signals
-    names = map(str, job.system.ports("output")) if record is None else record
+    names = map(str, job.system.ports("output")) if job.signals is None else job.signals
     signals = {name: job.system.port(name) for name in names}
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
@@ -157,16 +151,15 @@ def batch(
         if lanes is not False:
             try:
                 together = Lanes(job, ports)
-                return result(run_in_lanes(together, arrays_in, count, rows, workers), ())
+                return result(run_machines(job, together, arrays_in, count, ports, rows, workers), ())
             except NotInLanes as reason:
                 if lanes:
                     raise
                 notes = (f"the machines ran one by one: {reason}",)
-        points = recorded_times(times)
-        return result(run_one_by_one(job, arrays_in, count, ports, rows, points, workers), notes)
+        return result(run_machines(job, None, arrays_in, count, ports, rows, workers), notes)
     except KeyboardInterrupt:
-        stopped = dict.fromkeys(unfinished(rows), Ended("interrupted", "by the user", np.nan))
-        raise Interrupted(result(stopped, ())) from None
+        unfinished = {i for row in rows for i in np.flatnonzero(np.isnan(row[:, -1])).tolist()}
+        raise Interrupted(result(dict.fromkeys(unfinished, BY_USER), ())) from None
 
 
 # ---- what differs and what is recorded
@@ -240,38 +233,50 @@ def _allocate(signals: Mapping[str, Port], count: int, points: int) -> list[Arra
     return [np.full((count, points), np.nan) for _ in signals]
 
 
-# ---- in lanes
+# ---- the runs
 
 
-def run_in_lanes(
-    lanes: Lanes, values: Mapping[Port, Array], count: int, rows: Sequence[Array], workers: int
+def run_machines(
+    job: Job,
+    lanes: Lanes | None,
+    values: Mapping[Port, Array],
+    count: int,
+    signals: Sequence[Port],
+    rows: Sequence[Array],
+    workers: int,
 ) -> dict[int, Ended]:
-    """Simulate all machines in groups, in threads; returns those that ended early."""
-    firsts = iter(range(0, count, LANES))
-    ended: dict[int, Ended] = {}
+    """Simulate n machines, in lanes or each in a process; returns those that ended early or are not reliable.
 
-    def work(group: Group) -> None:
-        for first in firsts:
-            ended.update(group.run(first, values, rows, count))
+    values   of all machines, shape (n,), in the unit of the FMU
+    rows     one array for each signal of all machines, shape (n, points), which is filled
+    """
+    ended, points = dict[int, Ended | None](), recorded_times(job.times)
+    job = replace(job, options={**job.options, "record": [*map(str, signals)]})
+    with closing(Runs([] if lanes else [job.system])) as runs:
+        job = job if lanes else replace(job, system=runs.systems[0])
 
-    groups = [Group(lanes) for _ in range(max(1, min(workers, -(-count // LANES))))]
-    execution = lanes.job.execution
+        def work(first: int) -> Iterable[tuple[int, Ended | None]]:
+            if lanes:
+                group = runs.together(lanes, values, rows, first, count, job.options)
+                return enumerate((end for _, end in group), first)
+            start = {port: float(array[first]) for port, array in values.items()}
+            result, end = runs.alone(replace(job, system=_with_values(job.system, start)))
+            if result is not None and len(result.time):
+                length = min(len(result.time), len(points))
+                recorded = job.times.aligned(result.time[:length]) == points[:length]
+                for row, name in zip(rows, job.signals or (), strict=True):
+                    row[first, :length][recorded] = result.trace[name][:length][recorded]
+            return [(first, end)]
 
-    def stop() -> None:
-        for group in groups:
-            group.stop()
-
-    def watch() -> None:
-        if execution.late:
-            stop()
-
-    in_threads([partial(work, group) for group in groups], stop, watch)
-    if execution.late:
-        late = Ended(FAILED, f"not done within {execution.time_limit:g} s", math.nan)
-        ended = dict.fromkeys(unfinished(rows), late) | ended
-    return ended
+        firsts = range(0, count, LANES if lanes else 1)
+        in_threads(work, firsts, lambda found: ended.update(chain(*found)), runs.stop, workers)
+    return {machine: end for machine, end in ended.items() if end}
 
 
-def unfinished(rows: Sequence[Array]) -> set[int]:
-    """The machines without values at the end."""
-    return {int(i) for row in rows for i in np.flatnonzero(np.isnan(row[:, -1]))}
+def _with_values(system: System, values: Mapping[Port, float]) -> System:
+    """The system with other start values, in the units of the FMUs."""
+    components = dict(system.components)
+    for port, value in values.items():
+        start = {port.variable: value if system.variable(port).is_real else round(value)}
+        components[port.component] = components[port.component].with_start(start, "")
+    return replace(system, components=components)

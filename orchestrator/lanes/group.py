@@ -22,12 +22,12 @@ from orchestrator.base.processes import available_cores
 from orchestrator.base.progress import doing
 from orchestrator.data.table import Array
 from orchestrator.engine.coupling_inputs import CouplingInputs
-from orchestrator.engine.job import Job
+from orchestrator.engine.job import Job, open_slave
 from orchestrator.engine.network import Network
-from orchestrator.engine.open_job import bonds_of, step_control
 from orchestrator.engine.recorder import EnergyMonitor
 from orchestrator.engine.result import BondEnergy, energies_above, unreliable_energies
 from orchestrator.engine.scenario import DrivenInputs
+from orchestrator.engine.simulation_loop import bonds_of, step_control
 from orchestrator.lanes.compiled import LANES, Model, NotInLanes, compiled_model, header, machines_library
 from orchestrator.ssp.masters import Plan
 from orchestrator.ssp.system import Component, Connection, Port, System
@@ -36,19 +36,21 @@ ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
 COMMON = ("target", "source", "source_component", "order", "autonomous", "noisy", "factor", "offset", "scale")
 COMPILING = "compiling the FMUs for this processor, which is done once; lanes=False compiles nothing"
-OK, EARLY, FAILED, NOT_RELIABLE = "ok", "early", "failed", "unreliable"
+OK, EARLY, FAILED, NOT_RELIABLE, INTERRUPTED = "ok", "early", "failed", "unreliable", "interrupted"
 
 
 @dataclass(frozen=True)
 class Ended:
-    """Why a machine ended early, or is not reliable, and when it ended [s].
+    """Why a machine ended early, or is not reliable.
 
-    status   EARLY if an FMU asked for the end, NOT_RELIABLE if the machine came to its end, else FAILED
+    status   EARLY if an FMU asked for the end, NOT_RELIABLE if the machine came to its end, INTERRUPTED if
+             the user ended it, else FAILED
+    limit    time_limit or memory_limit, if that ended it
     """
 
     status: str
     reason: str
-    time: float
+    limit: str = ""
 
 
 def aligned(size: int) -> NDArray[np.uint8]:
@@ -76,7 +78,7 @@ class Instances:
         self.memory = aligned(sum(sizes))
         base = self.memory.ctypes.data
         create = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double)
-        tolerance = lanes.job.execution.tolerance or 0.0
+        tolerance = lanes.job.options.get("tolerance") or 0.0
         places = base + np.cumsum([0, *sizes[:-1]])
         pairs = zip(lanes.models, places.tolist(), strict=True)
         made = [create(model.struct.create)(place, tolerance) for model, place in pairs]
@@ -136,7 +138,7 @@ class Lanes:
         with ExitStack() as stack:
             slaves = {}
             for name, component in self.system.components.items():
-                slaves[name] = job.execution.open(component)
+                slaves[name] = open_slave(component)
                 stack.callback(slaves[name].close)
             self._network = Network(self.system, slaves, job.scenario, signals)
             self.at = self._network.binding.at
@@ -495,7 +497,7 @@ class Group:
         found, (residual, _, exchanged) = dict(self.ended()), self._energies()
         for lane in np.flatnonzero(energies_above(residual, exchanged).any(axis=0)).tolist():
             lines = unreliable_energies(self.energies(lane))
-            found.setdefault(lane, Ended(NOT_RELIABLE, "; ".join(lines), self._time[lane]))
+            found.setdefault(lane, Ended(NOT_RELIABLE, "; ".join(lines)))
         return found
 
     def energies(self, lane: int) -> list[BondEnergy]:
@@ -512,7 +514,7 @@ class Group:
         """Lane and reason of the machines that have failed."""
         for lane, failure in enumerate(self._failures):
             if failure.kind:
-                yield lane, Ended(FAILED, self._reason(failure), failure.time)
+                yield lane, Ended(FAILED, self._reason(failure))
 
     def _reason(self, f: Any) -> str:
         h, model, when = header(), self.lanes.models[f.component], f"at t = {f.time:.9g} s"

@@ -13,8 +13,7 @@ from orchestrator.base.options import checked
 from orchestrator.base.processes import available_cores
 from orchestrator.data.table import Array
 from orchestrator.engine.arguments import MachinesArguments
-from orchestrator.engine.job import Execution
-from orchestrator.engine.run import prepare
+from orchestrator.engine.job import Job
 from orchestrator.lanes.batch import machine_values
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Group, Lanes
@@ -52,7 +51,7 @@ class Machines:
         held = {"time": [0.0, FOREVER], **{name: [0.0, 0.0] for name in commands}}
         given = checked(MachinesArguments, options, "Machines")
         workers = given.pop("workers", None)
-        self._job = prepare(system, held, signals, Execution(isolate=False), stop=FOREVER, **given)
+        self._job = Job.of(system, held, {**given, "record": signals, "stop": FOREVER})
         self.system = self._job.system
         lanes = Lanes(self._job, [self._job.system.port(name) for name in signals])
         self.count, self.step = count, self._job.times.step

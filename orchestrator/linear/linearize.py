@@ -12,8 +12,8 @@ from orchestrator.base.options import checked, documented, taken
 from orchestrator.data.table import Array
 from orchestrator.data.trace import rounding
 from orchestrator.engine.arguments import LinearArguments
-from orchestrator.engine.run import ScenarioSource, run, scenario_trace
-from orchestrator.engine.scenario import drive
+from orchestrator.engine.run import run
+from orchestrator.engine.scenario import ScenarioSource, drive, read_scenario
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
@@ -130,7 +130,7 @@ def linearize(
         )
     if speeds and not steady:
         raise Problem("--speed: expected --steady as well, got --speed alone")
-    _, trace, label = scenario_trace(scenario)
+    trace, label, _ = read_scenario(scenario)
     released = drive(full, trace, label).released(full) if trace is not None else full
     cut = cut_at_inputs(full, given.get("inputs", ()), steady, released)
     if time is not None:

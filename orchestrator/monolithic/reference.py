@@ -30,10 +30,11 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import ReferenceArguments
 from orchestrator.engine.integration import Integration, Solver
+from orchestrator.engine.job import Job
 from orchestrator.engine.plant import Plant
 from orchestrator.engine.result import Card, Result
-from orchestrator.engine.run import ProgressBar, ScenarioSource, prepare, run
-from orchestrator.engine.scenario import Scenario
+from orchestrator.engine.run import ProgressBar, run
+from orchestrator.engine.scenario import Scenario, ScenarioSource
 from orchestrator.engine.time_grid import RECORD_STEP, Grid, step_length
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.monolithic.tight import FMU_TOLERANCE, first_step, tightened
@@ -103,11 +104,11 @@ def _solve(
     system: System, scenario: ScenarioSource, record_step: float, tolerance: float, options: dict[str, Any]
 ) -> Result:
     """The monolithic solution."""
-    job = prepare(system, scenario, step=record_step, isolate=False, **options)
+    job = Job.of(system, scenario, {**options, "step": record_step})
     times = job.times
     plant = Plant(job.system, [*_inlets(job.system, job.scenario)])
     try:
-        with ProgressBar(times.stop - times.start, job.execution.progress) as bar:
+        with ProgressBar(times.stop - times.start, bool(job.options.get("progress"))) as bar:
             result = _Recorded(plant, job.scenario, times, tolerance).result(bar)
         return replace(result, provenance=job.provenance)
     finally:

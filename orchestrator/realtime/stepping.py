@@ -25,18 +25,16 @@ from orchestrator.base.text import first_names
 from orchestrator.data.table import Array
 from orchestrator.data.trace import JUMP, SAME_TIME, Trace
 from orchestrator.data.trace_writer import RowLayout, TraceSink
-from orchestrator.engine.job import Execution, Job, Record, with_default_guard
-from orchestrator.engine.open_job import simulation
+from orchestrator.engine.job import Job, begun
 from orchestrator.engine.recorder import EnergyMonitor
 from orchestrator.engine.result import SMALL_EXCHANGE, UNRELIABLE, energies_above
-from orchestrator.engine.scenario import ScenarioTable, drive, values_over_time
+from orchestrator.engine.scenario import ScenarioFile, ScenarioTable, values_over_time
+from orchestrator.engine.simulation_loop import simulation
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
 from orchestrator.realtime.setup import Axis, Setup, Task
 from orchestrator.realtime.shared_memory import Command, SharedState, attach
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.ssp.load import configured
-from orchestrator.ssp.plausible import doubtful_starts, with_doubts
 from orchestrator.ssp.system import System
 from orchestrator.worker.main import Channel
 
@@ -241,11 +239,9 @@ class FrameStepper:
     def __init__(self, setup: Setup) -> None:
         """Raises Problem for a mistake in the setup."""
         setup.check()
-        system = configured(setup.system, swap=setup.swap, parameters=setup.parameters, set=setup.set)
-        system = with_default_guard(with_doubts(system, doubtful_starts(system)), setup.step)
-        coupling = system.coupling or Coupling()
-        coupling.check(system.components)
-        times, self._steps = _grid(system, coupling, setup)
+        chosen = {name: getattr(setup, name) for name in ("swap", "parameters", "set", "step")}
+        system, _, options = begun(setup.system, None, {**chosen, "record": setup.signals})
+        times, self._steps = _grid(system, system.coupling or Coupling(), setup)
         limits = RateLimiter(setup.axes, setup.frame)
         self.t, self.axes = times.start, limits.rest.copy()
         self._faults = {}
@@ -256,22 +252,22 @@ class FrameStepper:
             self._faults[name] = values_over_time(system, name, str(text), self.t)
         first = np.concatenate([self.axes, self._faults_at(self.t)])
         self._ramp = Ramp(self.t, times.start + self._steps * times.step, first)
-        driven = None
+        at_rest = None
         if first.size:
             names = (*(axis.name for axis in setup.axes), *setup.fault)
-            at_rest = {n: np.full(2, value) for n, value in zip(names, first, strict=True)}
-            bound = drive(system, Trace(self._ramp.arrays[0].copy(), at_rest), "axes")
-            driven = replace(bound, table=self._ramp)
-            system = driven.released(system)
+            columns = {n: np.full(2, value) for n, value in zip(names, first, strict=True)}
+            at_rest = Trace(self._ramp.arrays[0].copy(), columns)
+        frame = {**options, "stop": times.start + self._steps * times.step}
+        job = Job.of(system, ScenarioFile(at_rest, "axes", None), frame)
+        driven = job.scenario and replace(job.scenario, table=self._ramp)
+        job = replace(job, scenario=driven, times=times)
         self._times = times
-        self.units = _units(system, setup)
-        job = Job(system, driven, times, coupling, Record(setup.signals), Execution())
+        self.units = _units(job.system, setup)
         latest = LatestValues()
         with ExitStack() as stack:
             self._loop = stack.enter_context(simulation(job, latest))
             self._loop.begin()
-            suggested = system.suggestion.notes(setup.step is not None)
-            self.notes = (*system.notes, *system.warnings, *suggested, *self._loop.network.notes)
+            self.notes = (*job.system.notes, *job.system.warnings, *self._loop.network.notes)
             self._exit = stack.pop_all()
         self._energies = RecentEnergies(self._loop.energy)
         self.values = latest.values[: len(setup.signals)]

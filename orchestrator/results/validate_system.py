@@ -7,9 +7,9 @@ can replace a reference, with the limits of its signals.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -27,7 +27,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
 from orchestrator.drive.page import Replayed, fragment
-from orchestrator.engine.arguments import RunArguments, SystemArguments
+from orchestrator.engine.arguments import CoupledArguments, SystemArguments
 from orchestrator.engine.result import Card, Result, ranges, widest_of_unit
 from orchestrator.engine.run import run_to_file
 from orchestrator.engine.time_grid import Grid
@@ -279,84 +279,127 @@ def _bond(residual: str, exchanged: str, share: str) -> str:
     return share if not exchanged else joules if share == "-" else f"{share} ({joules})"
 
 
+@dataclass(frozen=True)
+class Experiment:
+    """A run, and what it is compared with.
+
+    default          reference and layout if none is given; this layout may contain signals that the run lacks
+    play             patterns of signals of the reference that are played with its commands if there is no
+                     scenario
+    default_system   system to which the default layout belongs, also with another reference
+    monolithic       compare with the monolithic solution of the same FMUs
+    limit            of the NRMSE of each signal of the monolithic solution, see `monolithic_recording`
+    options          of the run
+    """
+
+    system: Path
+    default: tuple[Path, Path]
+    scenario: Path | None = None
+    reference: Path | None = None
+    layout: Path | None = None
+    play: Sequence[str] = ()
+    default_system: Path = DEFAULT_SYSTEM
+    monolithic: bool = False
+    limit: float | None = None
+    options: CoupledArguments = field(default_factory=lambda: CoupledArguments())
+
+    def check(self) -> None:
+        """Refuse options that have no meaning together."""
+        limit, play = self.limit, self.play
+        if self.monolithic and self.reference:
+            reason = "because the solution replaces it"
+            raise Problem(f"--monolithic: expected no --reference, {reason}, got {self.reference}")
+        if play and (self.scenario or not self.reference):
+            raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
+        if limit is not None and not self.monolithic:
+            reason = "the limits of a --reference are in its TOML file"
+            raise Problem(f"--limit {limit:g}: expected --monolithic; {reason}")
+        if limit is not None and not 0 < limit < np.inf:
+            raise Problem(f"--limit: expected a positive number, got {limit:g}")
+
+    def against(self) -> tuple[Recording, Trace | None]:
+        """The reference, and the commands in it that are the scenario; None with another one."""
+        against = read_recording(self.reference or self.default[0])
+        if not self.reference:
+            return against, None
+        against = _with_units(loaded := load(require_system(self.system)), against)
+        commands = None if self.scenario else played(loaded, against, self.play)
+        if commands and self.options.get("stop") is None and not self.options.get("yes"):
+            refuse_long(loaded, against, str(self.reference))
+        return against, commands
+
+    def page(self) -> Layout:
+        """The layout of the report."""
+        has_default = self.reference is None or self.system == self.default_system
+        chosen = self.layout or (self.default[1] if has_default else None)
+        return read_layout(chosen) if chosen else Layout()
+
+    def solved(self, run: Result, against: Recording, page: Layout) -> tuple[Recording, list[str]]:
+        """What a run is compared with in the end: the reference, or the solution of its FMUs; and notes."""
+        if self.monolithic:
+            solved, limit = solve_as_run(self.system, self.scenario, run, self.options), self.limit
+            if limit is None and (self.scenario or self.options.get("swap")):
+                limit = LIMIT  # limits of the shipped reference are for the work cycle of the shipped machine
+            against = monolithic_recording(solved, against, [signal for _, signal in page.signals], limit)
+            return against, [f"reference: {n}" for n in solved.card.notes if n not in run.card.notes]
+        if self.scenario and not self.reference:
+            other = f"which may have another scenario than {self.scenario}"
+            return against, [f"no --reference given: judged against {against.heading}, {other}"]
+        return against, []
+
+    def title(self, page: Layout, against: Recording) -> str:
+        """The title of a report without a layout of the user."""
+        is_default = self.reference is None and self.scenario is None and not self.monolithic
+        own = page.title if is_default else ""
+        return own or f"{(self.scenario or self.system).stem} against {against.heading}"
+
+
 def validate_system(
-    system: Path,
-    scenario: Path | None,
-    reference: Path | None,
-    layout: Path | None,
+    of: Experiment,
     out: Path,
-    default: tuple[Path, Path],
     rate: bool = True,
-    play: Sequence[str] = (),
-    default_system: Path = DEFAULT_SYSTEM,
-    monolithic: bool = False,
-    limit: float | None = None,
     default_accuracy: float | None = None,
     report: Callable[[str], object] = lambda _: None,
-    **options: Unpack[RunArguments],
 ) -> tuple[Validation, str]:
     """Co-simulate, compare, write the trace and the report; returns comparison, and card and files as text.
 
     out      folder of run.csv, report.html and report.json
-    default  reference and layout if none is given; this layout may contain signals that the run lacks
     rate     whether to compute the ISO/TS 18571 rating
-    play     patterns of signals of the reference that are played with its commands, without a scenario
-    default_system   system to which the default layout belongs, also with another reference
-    monolithic       compare with the monolithic solution of the same FMUs
-    limit            of the NRMSE of each signal of the monolithic solution, see `monolithic_recording`
-    default_accuracy, options   as for `run_to_file`
+    default_accuracy   as for `run_to_file`
     report           called before the run with what differs in the numbers of the system, if anything does
     """
-    _refuse_contradictions(scenario, reference, play, monolithic, limit)
-    against = read_recording(reference or default[0])
+    of.check()
+    (against, commands), page = of.against(), of.page()
     doubts = [*against.log_faults()]
-    chosen = layout or (default[1] if reference is None or system == default_system else None)
-    page = read_layout(chosen) if chosen else Layout()
-    trace = out / "run.csv"
-    commands = None
-    if reference:
-        against = _with_units(loaded := load(require_system(system)), against)
-        commands = None if scenario else played(loaded, against, play)
-        if commands and options.get("stop") is None and not options.get("yes"):
-            refuse_long(loaded, against, str(reference))
 
     def accept(system: System, times: Grid, signals: RowLayout) -> None:
         """Refuse what cannot be compared, before the first step."""
         ahead = _times_ahead(times, against)
         blank = Trace(ahead, dict.fromkeys(signals.names, np.zeros_like(ahead)), signals.units)
         selected, renamed = comparable(system, blank, against, page)
-        if not monolithic:
+        if not of.monolithic:
             check_comparable(renamed, selected)
-        if layout:
+        if of.layout:
             page.check(renamed)
         judged = [name for name in selected.signals if commands is None or name not in commands.signals]
-        doubts.extend(doubtful_signals(system, selected.select(judged), str(reference)))
+        doubts.extend(doubtful_signals(system, selected.select(judged), str(of.reference)))
         if commands is None:  # else the run tells it
-            doubts.append(doubtful_end(system, selected, str(reference)))
+            doubts.append(doubtful_end(system, selected, str(of.reference)))
 
-    shipped = against if reference is None and not monolithic else None
-    if other := other_numbers(system, shipped, options):
+    shipped = against if of.reference is None and not of.monolithic else None
+    if other := other_numbers(of.system, shipped, of.options):
         report(f"{other}\n")
     result, file = run_to_file(
-        system,
-        scenario or commands,
-        trace,
+        of.system,
+        of.scenario or commands,
+        out / "run.csv",
         every_point=False,
         accept=accept,
         default_accuracy=default_accuracy,
-        **options,
+        **of.options,
     )
-    notes: list[str] = []
-    if monolithic:
-        solved = solve_as_run(system, scenario, result, options)
-        if limit is None and (scenario or options.get("swap")):
-            limit = LIMIT  # the limits of the shipped reference are for the work cycle of the shipped machine
-        against = monolithic_recording(solved, against, [signal for _, signal in page.signals], limit)
-        notes += [f"reference: {n}" for n in solved.card.notes if n not in result.card.notes]
-    elif scenario and not reference:
-        other = f"which may have another scenario than {scenario}"
-        notes.append(f"no --reference given: judged against {against.heading}, {other}")
-    if reference and not scenario:
+    against, notes = of.solved(result, against, page)
+    if of.reference and not of.scenario:
         inputs = list(commands.signals) if commands else []
         taken = f"{', '.join(inputs)} {'are' if len(inputs) > 1 else 'is'} taken from the reference"
         notes.append(f"no --scenario given: {taken if inputs else 'the inputs are those of the system'}")
@@ -372,31 +415,13 @@ def validate_system(
     warnings = with_doubts(result.system, doubts).warnings[len(result.system.warnings) :]
     card = replace(result.card, warnings=(*result.card.warnings, *warnings))
     result = replace(result, card=card)
-    if not layout:
-        default_title = page.title if reference is None and scenario is None and not monolithic else ""
-        title = default_title or f"{(scenario or system).stem} against {against.heading}"
-        page = replace(page.within(recorded), title=title)
-    facts = _facts(system, scenario, against.heading, card, options)
-    machine, reason = _machine(system, result, against)
+    if not of.layout:
+        page = replace(page.within(recorded), title=of.title(page, against))
+    facts = _facts(of.system, of.scenario, against.heading, card, of.options)
+    machine, reason = _machine(of.system, result, against)
     result = result.noted(reason) if reason else result
     validation, html, data = judge(replace(result, trace=recorded), against, page, out, facts, rate, machine)
     return validation, f"{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}"
-
-
-def _refuse_contradictions(
-    scenario: Path | None, reference: Path | None, play: Sequence[str], monolithic: bool, limit: float | None
-) -> None:
-    """Refuse options that have no meaning together."""
-    if monolithic and reference:
-        reason = "because the solution replaces it"
-        raise Problem(f"--monolithic: expected no --reference, {reason}, got {reference}")
-    if play and (scenario or not reference):
-        raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
-    if limit is not None and not monolithic:
-        reason = "the limits of a --reference are in its TOML file"
-        raise Problem(f"--limit {limit:g}: expected --monolithic; {reason}")
-    if limit is not None and not 0 < limit < np.inf:
-        raise Problem(f"--limit: expected a positive number, got {limit:g}")
 
 
 def comparable(system: System, trace: Trace, reference: Recording, page: Layout) -> tuple[Recording, Trace]:

@@ -484,6 +484,10 @@ class System:
         """
         return replace(self, suggestion=self.suggestion.with_choices(choices))
 
+    def noted(self, *notes: str) -> System:
+        """The system with further notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
     def without(self, *patterns: str) -> System:
         """The system without the connections whose target, such as `b.force_rate`, matches a pattern.
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -29,11 +29,11 @@ from orchestrator.base.processes import available_cores
 from orchestrator.base.text import TextTable, display_unit, grouped
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import EARLY, FAILED, NOT_RELIABLE, OK
-from orchestrator.studies import design, processes, store
+from orchestrator.lanes.many import archives_of, in_threads
+from orchestrator.studies import design, store
 from orchestrator.studies.analysis.output_samples import without_numbers
-from orchestrator.studies.cases import Sample, Unit, doubts, resolve
-from orchestrator.studies.processes import Payload, payload
-from orchestrator.studies.single_run import RunOutcome, group_size
+from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
+from orchestrator.studies.runs import STORE_TIME, Payload, RunOutcome, StudyRuns
 from orchestrator.studies.study import Study, read
 
 if TYPE_CHECKING:
@@ -69,7 +69,8 @@ def prepare(study: Study) -> PreparedStudy:
     resolved, cases = resolve(study)
     table = design.table(resolved)
     runs = design.runs(resolved, table, cases)
-    return PreparedStudy(payload(resolved, cases), table, runs, doubts(resolved, cases))
+    payload = Payload(resolved, cases, archives_of(case.system for case in cases.values()))
+    return PreparedStudy(payload, table, runs, doubts(resolved, cases))
 
 
 def sweep(
@@ -123,38 +124,41 @@ def _run_missing(
     if count == total:
         return
 
-    def keep(outcomes: Sequence[RunOutcome]) -> None:
+    def keep(found: Iterable[Sequence[RunOutcome]]) -> None:
         nonlocal count
-        batch = [outcome for outcome in outcomes if outcome.run not in done]
+        batch = [outcome for outcomes in found for outcome in outcomes if outcome.run not in done]
         results.add(batch)
         count += len(batch)
         watch(total, count, batch)
 
-    units = units_of(prepared, lanes=client is None)
-    missing = [unit for unit in units if any(sample.run not in done for sample in unit)]
+    def missing(units: Sequence[Unit]) -> list[Unit]:
+        return [unit for unit in units if any(sample.run not in done for sample in unit)]
+
     try:
         if client is None:
-            processes.run_units(prepared.payload, missing, workers, keep)
+            with closing(StudyRuns(prepared.payload)) as runs:
+                units = missing(units_of(prepared, runs.size))
+                in_threads(runs.run, units, keep, runs.stop, workers, STORE_TIME)
         else:
             from orchestrator.studies import cluster
 
-            cluster.run_units(client, prepared.payload, missing, keep)
+            cluster.run_units(client, prepared.payload, missing(units_of(prepared)), keep)
     except KeyboardInterrupt:
         stored = f"{len(results.done())} of {total} runs are stored in {results.folder}"
         raise Stopped(f"{stored}; the same command continues the study") from None
 
 
-def units_of(prepared: PreparedStudy, lanes: bool) -> list[Unit]:
+def units_of(prepared: PreparedStudy, size: Callable[[Options], int] = lambda _: 1) -> list[Unit]:
     """The samples that are run together: where possible groups in lanes, of samples with equal options.
 
     The groups do not depend on which samples have results already, so neither do the results.
+
+    size   number of samples of a group
     """
-    study, cases = prepared.payload.study, prepared.payload.cases
     units = list[Unit]()
     for options, samples in grouped(prepared.samples, attrgetter("options")).items():
-        together = lanes and len(samples) >= LANES  # fewer are not worth a compilation
-        size = group_size(study, cases[options]) if together else 1
-        units += [tuple(samples[i : i + size]) for i in range(0, len(samples), size)]
+        together = size(options) if len(samples) >= LANES else 1  # fewer are not worth a compilation
+        units += [tuple(samples[i : i + together]) for i in range(0, len(samples), together)]
     return sorted(units, key=lambda unit: unit[0].run)
 
 

@@ -37,8 +37,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import PARTIAL, put, write_whole
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import quote_key
-from orchestrator.studies.processes import STOPPED, Payload, digest, limit_is_raised, run_limits
-from orchestrator.studies.single_run import RunOutcome, band_times
+from orchestrator.studies.runs import STOPPED, Payload, RunOutcome, band_times, digest, limit_is_raised
 from orchestrator.studies.study import Choice, Factor, Output, Study
 
 NAMES = ("runs.parquet", "bands.parquet", "report.html", "analysis.json", "log.csv")
@@ -157,10 +156,9 @@ class Store:
 
     def forget_stopped(self) -> None:
         """Forget the runs that a limit has stopped that is larger now; they are computed again."""
-        limits = run_limits(self.study)
         for file in self._files():
             rows = _read(file)
-            keep = [not limit_is_raised(reason, limits) for reason in rows["reason"].to_pylist()]
+            keep = [not limit_is_raised(reason, self.study) for reason in rows["reason"].to_pylist()]
             kept = rows.filter(pa.array(keep))
             if len(kept) == len(rows):
                 continue

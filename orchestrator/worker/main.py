@@ -150,8 +150,8 @@ def make_blocking(descriptor: int) -> None:
 def left_behind(channel: Channel, threads: bool = True) -> tuple[Any, ...]:
     """What FMUs may change in this process and leave to the next run, as far as the system tells.
 
-    threads: their number counts. In a study it does not: many libraries keep threads for the next run of the
-    same FMU.
+    threads: their number counts. In many runs of the same FMUs it does not: many libraries keep threads for
+    the next one.
     """
     names = (*(("Threads",) if threads else ()), "SigBlk", "SigIgn", "SigCgt")
     found: list[Any] = [locale.setlocale(locale.LC_NUMERIC)]

@@ -1,5 +1,7 @@
 """Parent's side of a worker process: start, messages, limits of time and memory, cause of its end, clean-up.
 
+`Pool` keeps idle processes of one kind for the next task.
+
 `Worker.messages` enforces the limits (`WorkerLimits`). The caller sets their values: for `harvester check`
 these are `ProbeLimits` in orchestrator/check/probe_process.py and the option --timeout in
 orchestrator/cli/check.py.
@@ -19,7 +21,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -182,9 +184,13 @@ class Worker:
     @property
     def report(self) -> str:
         """Cause of the end, last activity and last line of stderr, for a message."""
-        cause = self.ending.replace("exit status", "the process ended with exit status")
         last = self.last_stderr_line[:120]
-        return f"{cause} {self.where}" + (f' ("{last}")' if last else "")
+        return f"{self.cause} {self.where}" + (f' ("{last}")' if last else "")
+
+    @property
+    def cause(self) -> str:
+        """`ending` as the subject of a message."""
+        return self.ending.replace("exit status", "the process ended with exit status")
 
     @property
     def ending(self) -> str:
@@ -443,3 +449,66 @@ def _end(
             child.stdout.close()
     last.append(_where(folder))
     remove_folder(folder)
+
+
+# ---- many of one kind
+
+_of_parent: list[Any] = []  # idle ones, in a forked process; never closed there
+
+
+class Pool:
+    """Worker processes that start when they are needed, for tasks in any number of threads.
+
+    start   starts one
+    kept    number of idle ones that wait for the next task, at most
+    """
+
+    def __init__(self, start: Callable[[], Worker], kept: float = math.inf) -> None:
+        self.start, self._kept = start, kept
+        # with the environment variables and the parent at its start
+        self._idle: list[tuple[Worker, tuple[int, dict[str, str]]]] = []
+
+    def warm(self, count: int = 1) -> None:
+        """Start processes for the next tasks, until so many are idle."""
+        while len(self._idle) < count:
+            self._idle.append((self.start(), _circumstances()))
+
+    @contextmanager
+    def worker(self) -> Iterator[Worker]:
+        """An idle process, else a new one; kept for the next task if it is reusable and this one succeeds."""
+        worker, circumstances = self._take()
+        try:
+            worker.forget_printed()
+            yield worker
+        except BaseException:
+            worker.close()
+            raise
+        if worker.alive and worker.reusable and len(self._idle) < self._kept:
+            self._idle.append((worker, circumstances))
+        else:
+            worker.close()
+
+    def _take(self) -> tuple[Worker, tuple[int, dict[str, str]]]:
+        now = _circumstances()
+        while True:
+            try:
+                worker, before = self._idle.pop()
+            except IndexError:
+                return self.start(), now
+            if before[0] != now[0]:
+                _of_parent.append(worker)
+            elif before == now and worker.alive:
+                return worker, now
+            else:
+                worker.close()
+
+    def close(self) -> None:
+        """End the idle processes."""
+        with DeferredInterrupts():
+            while self._idle:
+                self._idle.pop()[0].close()
+
+
+def _circumstances() -> tuple[int, dict[str, str]]:
+    """What a process inherits: an FMU may read environment variables."""
+    return os.getpid(), dict(os.environ)

@@ -13,16 +13,16 @@ import pytest
 from kit import shards
 from lxml import etree
 
+from benchmarks import reference
 from check.test_probes import opened
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
 from fmus.export import model_description
 from fmus.export.build import build
 from fmus.export.model_description import FOLDER, NRMSE_LIMIT, TOLERANCE, data_file, ls_ref_files
-from fmus.machine import reference
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import FAMILIES, FERIC
-from fmus.operator_input.model import OPERATOR
+from fmus.operator_input import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
 from fmus.valve_actuation import ACTUATION
@@ -127,7 +127,7 @@ def test_another_importer_reproduces_the_result(fmu_dir, name):
 
 @shards.machine
 def test_the_committed_experiments_are_those_of_the_equations():
-    """`python -m fmus.machine.reference` writes the same inputs, parameters and beginning of each result."""
+    """`python -m benchmarks.reference` writes the same inputs, parameters and beginning of each result."""
     empty, loaded = reference.machine_signals(), reference.machine_signals([reference.STEM])
     for sub in SUBSYSTEMS.values():
         moving = reference.stimuli(sub, loaded if "payload_mass" in quantities(sub.inputs) else empty)

@@ -11,7 +11,7 @@ from kit.steering import INPUTS, PART, STATES, V, at, measured, rates
 from fmus.contract import quantities
 from fmus.controller.harvester import ARM, OfMachine, OfSwing
 from fmus.controller.model import CONTROLLER
-from fmus.machine.build import controller_of, parts_with_parameters
+from fmus.machine.build import harvester_machine
 from fmus.machine.parts import FERIC
 from fmus.parameters import numbers, values
 
@@ -114,7 +114,7 @@ def test_a_set_of_numbers_changes_the_controller_too(tmp_path):
     )
     path = tmp_path / "set.toml"
     path.write_text("".join(entry.format(*one) for one in given), encoding="utf-8")
-    found = values(controller_of(parts_with_parameters(path)[0], path)).p
+    found = values(harvester_machine(path).controller).p
     expected = {"valve_area": 4.1e-5, "swing_valve_area": 4.1e-5, "stick_length": 3.0}
     expected |= {"piston_position_gain": 5.0, "swing_valve_dead_band": 0.8, "valve_dead_band": 0.6}
     expected |= {"density": 900.0, "swing_density": 970.0}

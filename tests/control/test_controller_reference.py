@@ -8,11 +8,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from kit.properties import examples
-from kit.steering import PART, STATES, V, at, measured, rates
+from kit.steering import PART, STATES, arm_angles, at, measured, rates
 
 from fmus.controller import CONTROLLER, reference
 from fmus.controller.arm import Cylindrical
-from fmus.controller.harvester import ARM, arm_angles
+from fmus.controller.harvester import ARM
+from fmus.controller.paths import start_angles
 from fmus.parameters import parameters
 from fmus.smooth import s_curve
 
@@ -34,10 +35,15 @@ def pistons(boom: float, stick: float) -> list[float]:
 # ---- inverse kinematics
 
 
+@examples(30)
 @given(ANGLES)
-def test_closed_form_inverts_the_arm(angles):
-    """Angles -> tip -> angles, to rounding (acos near its ends loses half the digits)."""
-    assert arm_angles(*tip(*angles), V.p) == pytest.approx(angles, abs=1e-7)
+def test_the_search_for_a_pose_finds_the_closed_form(angles):
+    """Angles -> tip -> angles, with the elbow above; 1e-10 m of the search, over links of metres."""
+    place = tip(*angles)
+    found = start_angles("", (*place, 0.3), {})
+    pose = [found[f"manipulator.initial_{n}_angle"] for n in ("swing", "boom", "stick")]
+    assert pose == pytest.approx([0.3, *angles], abs=1e-9)
+    assert arm_angles(*place) == pytest.approx(angles, abs=1e-7)  # acos near its ends loses half the digits
 
 
 @given(ANGLES, st.floats(-1, 1), st.floats(-1, 1))
@@ -65,13 +71,13 @@ def test_integrated_rates_end_where_the_closed_form_is():
         k3 = slope(x + h / 2 * k2, (k + 0.5) * h)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(x + h * k3, (k + 1) * h))
     found = [at(x, "reference_boom"), at(x, "reference_stick")]
-    assert found == pytest.approx(arm_angles(radius + 1.2, height, V.p), abs=1e-6)
+    assert found == pytest.approx(arm_angles(radius + 1.2, height), abs=1e-6)
 
 
 def moved(u: dict[str, float], radius: float, height: float, time: float) -> dict[str, float]:
     """The path's point after `time`; the machine follows exactly, so that the reference does not wait."""
     now = radius + 0.5 * time
-    boom, stick = arm_angles(now, height, V.p)
+    boom, stick = arm_angles(now, height)
     return u | {"path_radius": now, "path_height": height, "boom_angle": boom, "stick_angle": stick}
 
 

@@ -10,8 +10,9 @@ import pytest
 
 from benchmarks.sway import NAMES, circular, residual, straight
 from fmus.controller.paths import PATHS
+from fmus.machine.feasible import MECHANICS
 from fmus.machine.path_following import points
-from fmus.machine.sway import head_sway, impulses, shaped
+from fmus.machine.sway import impulses, shaped
 from fmus.package_files import data
 from orchestrator import Trace, load
 from orchestrator.__main__ import main
@@ -44,15 +45,24 @@ def test_a_wrong_period_leaves_what_the_formula_says(wrong):
 
 
 def test_the_sway_of_a_head_is_that_of_a_physical_pendulum(fmu_dir):
-    """2.14 s as documented; a point on a rod has 2 pi sqrt(L/g), with any payload; no head, no sway."""
+    """2 pi sqrt(J/(m g L)) and its damping, with a payload in another pose, too; no head, no sway."""
     machine = with_swaps(load(fmu_dir / "harvester_control.ssp"), PENDULUM)
-    period, damping = head_sway(machine.components["manipulator"])
-    assert period == pytest.approx(2.14, abs=0.005)  # README of the manipulator, three digits
-    assert damping == pytest.approx(0.1, abs=0.005)  # one digit there
-    point = {"manipulator.head_inertia": 0.0, "manipulator.payload_mass": 500.0}
-    found, _ = head_sway(machine.with_start(point).components["manipulator"])
-    assert found == pytest.approx(2 * math.pi * math.sqrt(1 / 9.80665), rel=1e-12)  # rounding
-    assert head_sway(load(fmu_dir / "harvester_control.ssp").components["manipulator"]) is None
+    as_it_is = MECHANICS.sway(machine.components["manipulator"])
+    assert as_it_is == pytest.approx((2.14, 0.1), abs=0.005)  # README of the manipulator: digits there
+    loaded = {"payload_mass": 500.0, "initial_boom_angle": 0.5, "initial_head_angle": 0.2}
+    for start in ({}, {"head_inertia": 0.0}, loaded):
+        given = {f"manipulator.{n}": x for n, x in start.items()}
+        component = machine.with_start(given).components["manipulator"]
+        p = component.real_parameters()
+        mass = p["head_mass"] + start.get("payload_mass", 0.0)
+        inertia, stiffness = (
+            p["head_inertia"] + mass * p["head_length"] ** 2,
+            mass * p["gravity"] * p["head_length"],
+        )
+        damping = p["head_joint_damping"] / (2 * math.sqrt(stiffness * inertia))
+        expected = 2 * math.pi * math.sqrt(inertia / stiffness), damping
+        assert MECHANICS.sway(component) == pytest.approx(expected, rel=1e-12)  # rounding
+    assert MECHANICS.sway(load(fmu_dir / "harvester_control.ssp").components["manipulator"]) is None
 
 
 def test_a_shaped_square_is_the_square_with_its_corners_at_rest():
@@ -106,7 +116,7 @@ def test_a_shaped_move_leaves_a_tenth_of_the_sway(machine, monkeypatch, kind):
         "straight": straight((4.0, -0.5, 1.0), (4.2, 1.0, 1.0), 0.6),
         "circle": circular(4.5, 1.0, -0.3, 0.6, 0.7),
     }
-    period, damping = head_sway(with_swaps(load(machine), PENDULUM).components["manipulator"])
+    period, damping = MECHANICS.sway(with_swaps(load(machine), PENDULUM).components["manipulator"])
     free, error = residual("lumped, pendulum", moves[kind])
     assert free > 0.03  # else there is nothing to judge
     left, shaped_error = residual("lumped, pendulum", moves[kind], period, damping)

@@ -13,13 +13,12 @@ from fmus.machine import path_following
 from fmus.machine.parts import MACHINES
 from fmus.machine.path_following import PathRun, differences, points, side_view, text, unwrapped
 from fmus.manipulator import MANIPULATOR
-from fmus.package_files import PACKAGE
 from orchestrator import Trace, load
 from orchestrator.__main__ import main
 
 DETAILED = [f"--swap={part}={variant}" for part, variant in MACHINES["detailed"].items()]
 ALONE = ["--no-compare", "--swap=swing=lumped"]
-NAMES = path_following.read_machine(PACKAGE / "controller/tracking.toml")
+NAMES = path_following.HARVESTER
 TIME = np.linspace(0, 4, 5)
 TIP = ("tip_radius", "tip_height", "swing_angle")
 
@@ -29,7 +28,7 @@ def made(offset: float, feedback: bool = True, shape=(0, 0, 1, 1, 0.5), **uses: 
     commanded = np.column_stack([np.full(5, 3.0), 0.5 * TIME, np.ones(5)])
     away = np.array(shape)[:, None] * np.array([0.6, 0.0, 0.8]) * offset
     limits = {f"controller.{name}_use": np.array([0, 0, 1, 1, 0.5]) * most for name, most in uses.items()}
-    tip, more = commanded + away, {"uses": limits, "limits": NAMES.limits}
+    tip, more = commanded + away, {"uses": limits, "limits": path_following.LIMITS}
     return PathRun("made", "thing", feedback, TIME, commanded, tip, **more)
 
 

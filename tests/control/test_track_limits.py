@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from kit.equations import Part
 from kit.mistakes import refused
+from kit.steering import arm_angles
 
 from benchmarks.sway import NAMES, circular, straight
 from fmus.controller import CONTROLLER
-from fmus.controller.harvester import arm_angles
 from fmus.controller.paths import PATHS, controller_inputs, sample, start_angles
 from fmus.machine.feasible import MECHANICS, _follow, _loads, exceeded
 from fmus.manipulator import MANIPULATOR
@@ -48,7 +48,7 @@ def test_joints_and_loads_along_a_path_are_those_of_the_machine(machine):
     assert away.max() < 1e-6  # three steps of Newton's method from 50 mm away
     loads, arm = _loads(MECHANICS, part["manipulator"], joints), Part(MANIPULATOR)
     for k in range(0, path.shape[1], 7):
-        boom, stick = arm_angles(path[0, k], path[1, k], values(MANIPULATOR).p)
+        boom, stick = arm_angles(path[0, k], path[1, k])
         assert joints[:, k] == pytest.approx([path[2, k], boom, stick], abs=1e-6)
         y = arm(np.array([path[2, k], boom, stick, 0, 0, 0, 0, 0]))[1]
         held = [0.0, y["boom_holding_force"], y["stick_holding_force"]]

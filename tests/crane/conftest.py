@@ -3,7 +3,7 @@
 import pytest
 from kit.cranes import crane
 
-from fmus.crane.machine import build_crane
+from fmus.crane.machine import crane_build
 
 
 @pytest.fixture(scope="session")
@@ -16,5 +16,5 @@ def pin():
 def loader_folder(tmp_path_factory):
     """Where examples/cranes/loader.toml is built."""
     folder = tmp_path_factory.mktemp("loader")
-    build_crane(crane(), folder)
+    crane_build(crane()).write(folder)
     return folder

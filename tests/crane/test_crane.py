@@ -1,7 +1,9 @@
 """Cranes from files: mistakes are told, FMUs are built, the co-simulation is the monolithic solution."""
 
 import re
+import runpy
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import casadi as ca
@@ -11,7 +13,7 @@ from crane.rigid_bodies import bodies
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
-from kit.cranes import EXAMPLES, changed, checked, crane, machine, solved
+from kit.cranes import CRANES, EXAMPLES, changed, checked, crane, machine, solved
 from kit.equations import Part
 from kit.mistakes import problem, table
 from kit.properties import examples
@@ -20,9 +22,11 @@ from fmus.components.chain import Payload
 from fmus.contract import Quantity, nested, quantities
 from fmus.crane.check import Capacity, capacity, check, lifting_moment
 from fmus.crane.check import table as text_of
+from fmus.crane.controller import controller
 from fmus.crane.description import NEW, new, read
 from fmus.crane.machine import crane_machine, healthy
 from fmus.crane.manipulator import manipulator
+from fmus.machine.build import with_values
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Number, values
 from orchestrator import load, run
@@ -164,6 +168,12 @@ def test_the_machine_of_the_paper_has_its_holding_forces():
         assert shown[name] == pytest.approx(paper[name], rel=1e-12)
 
 
+def test_the_numbers_of_the_paper_are_typed_once():
+    """feric.toml is what feric.py writes from the parameters of the parts."""
+    written = runpy.run_path(str(CRANES / "feric.py"))["text"]()
+    assert (CRANES / "feric.toml").read_text(encoding="utf-8") == written
+
+
 @pytest.mark.parametrize(("pitch", "roll"), [(0.0, 0.0), (0.2, 0.0), (-0.1, 0.15)])
 def test_passive_joints_start_at_rest(pitch, roll):
     """On any slope link and grapple hang, cylinders and the slewing motor hold: nothing moves."""
@@ -300,6 +310,21 @@ def test_a_payload_of_the_file_is_held_from_the_start(tmp_path):
     operator = Part(own.operator)
     assert operator(operator.start())[1]["payload_mass"] == 300
     assert values(own.families["supply"]["load_sensing"]).p["reservoir_pressure"] == 4e5
+
+
+def test_a_parameter_set_changes_a_crane_as_it_does_the_harvester(tmp_path):
+    """The manipulator, what holds it at the start, the controller's copies and its own gains, in any unit."""
+    given = {"boom_mass": (0.5, "t"), "controller.centring": (0.2, "1"), "boom_bore": (125.0, "mm")}
+    entry = '[parameters."{}"]\nvalue = {}\nunit = "{}"\nsource = "identified"\nnote = ""\n'
+    (tmp_path / "own.toml").write_text("".join(entry.format(n, *x) for n, x in given.items()))
+    shipped = machine()
+    own = with_values(shipped, tmp_path / "own.toml", partial(controller, crane()))
+    assert values(own.subsystems["manipulator"]).p["boom_mass"] == 500.0
+    assert values(own.controller).p["centring"] == 0.2
+    for sub in (own.controller, own.subsystems["drives"]):
+        assert values(sub).p["boom_bore"] == pytest.approx(0.125, rel=1e-15)  # rounding of the unit
+    held, before = (values(m.subsystems["drives"]).u["boom_holding_force"] for m in (own, shipped))
+    assert held > before > 0
 
 
 BOOM = """

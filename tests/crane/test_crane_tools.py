@@ -12,7 +12,7 @@ from kit.cranes import crane, solved
 from kit.openmodelica import simulated
 from kit.work_cycle import load
 
-from fmus.crane.machine import build_crane
+from fmus.crane.machine import crane_build
 from orchestrator.__main__ import main
 
 pytestmark = shards.tools
@@ -38,7 +38,7 @@ def built(request, tmp_path_factory):
     """FMUs, system and solution of a crane."""
     name = request.param
     folder = tmp_path_factory.mktemp(name)
-    build_crane(crane(name), folder)
+    crane_build(crane(name)).write(folder)
     solution = solved(folder, name, STOP)
     return Built(name, folder, solution["time"], {n: solution[f"manipulator.{n}"] for n in SHOWN[name]})
 

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from fmus.crane.check import check, outputs_at_start
 from fmus.crane.description import NEW, read
-from fmus.crane.machine import build_crane
+from fmus.crane.machine import crane_build
 from fmus.crane.manipulator import manipulator
 from fmus.crane.speeds import full_speeds
 from orchestrator import run
@@ -80,7 +80,7 @@ def rated_folder(tmp_path_factory):
     """Where the crane with rated valves is built."""
     folder = tmp_path_factory.mktemp("rated")
     (folder / "rated.toml").write_bytes(rated())
-    build_crane(read(folder / "rated.toml"), folder)
+    crane_build(read(folder / "rated.toml")).write(folder)
     return folder
 
 

@@ -17,12 +17,12 @@ from kit.mistakes import problem
 from fmus.contract import column, nested
 from fmus.controller import CONTROLLER
 from fmus.controller.arm import Cylindrical
-from fmus.controller.paths import write_route
-from fmus.crane.controller import controlled, hanging_sway, start_pose
+from fmus.controller.paths import start_angles, write_route
+from fmus.crane.controller import controlled
 from fmus.crane.description import read
 from fmus.crane.machine import crane_machine, tracked
-from fmus.machine.path_following import follow, read_machine
-from fmus.package_files import PACKAGE
+from fmus.machine.path_following import follow
+from fmus.machine.sway import sway
 from fmus.parameters import values
 from orchestrator import load
 
@@ -38,7 +38,7 @@ def _functions(**given):
     p, q, v = nested(LOADER.parameters, P | given), ca.SX.sym("q", 4), ca.SX.sym("v", 2)
     each, velocity = ca.vertsplit(q), Cylindrical(v[0], v[1], 0)
     point, pistons = column(*ARM.point(each, p)), column(*(x for x, _ in ARM.pistons(each, p)))
-    weights = column(*ARM.choice(ARM.columns(each, p), each, velocity, p).weights)
+    weights = column(*ARM.choice(ARM.columns(each, p), each, velocity, p)[1])
     speeds = column(*ARM.joint_speeds(each, velocity, p))
     return ca.Function("f", [q, v], [point, ca.jacobian(point, q), speeds, weights, pistons])
 
@@ -129,13 +129,18 @@ def test_an_arm_that_the_controller_does_not_know_is_told(tmp_path):
     crane = read(changed(tmp_path, ('[slew]\naxis = "z"', '[slew]\naxis = "-z"')))
     assert crane_machine(crane).controller is None
     problem(lambda: controlled(crane), r"in the plane of the arm, got \[slew\] drive motor, axis -z$")
+    lamp = '[lamp]\njoint = "prismatic"\naxis = "x"\nparent = "slew"\nmass = 20\n'
+    lamp += '[second]\nparent = "extension"'
+    follows = ('follows = "extension"', 'follows = "lamp"')
+    crane = read(changed(tmp_path, ("[second]", lamp), follows))
+    problem(lambda: controlled(crane), r"got \[second\] follows lamp$")
 
 
 def test_a_place_out_of_reach_is_told():
     """With the place and the reason; elsewhere the pose has its tip at the place."""
-    told = "^tip at radius 12 m, height 1 m: (out of reach|the stroke of .* ends before)"
-    problem(lambda: start_pose(LOADER, (12.0, 1.0, 0.0), {}), told)
-    found = start_pose(LOADER, (5.0, 1.0, 0.3), {})
+    told = "^12,0,1: tip at radius 12 m, height 1 m: (out of reach, the arm comes to radius|the piston of)"
+    problem(lambda: start_angles("12,0,1", (12.0, 1.0, 0.0), {}, LOADER), told)
+    found = start_angles("5,1,1", (5.0, 1.0, 0.3), {}, LOADER)
     pose = [found[f"manipulator.initial_{a.coordinate[0]}"] for a in ARM.axes]
     assert AS_IT_IS(pose, [0, 0])[0].full()[:, 0] == pytest.approx([5.0, 1.0], abs=1e-8)
     assert pose[0] == 0.3
@@ -148,7 +153,7 @@ def test_the_sway_of_a_grapple_is_the_mean_of_its_axes():
     both = (0.3 + 20 * 0.15**2 + 15 + 180 * 0.8**2) / (20 * 0.15 + 180 * 0.8)
     alone = (15 + 180 * 0.5**2) / (180 * 0.5)
     mean = math.pi * sum(math.sqrt(length / 9.81) for length in (both, alone))
-    period, damping = hanging_sway(arm, as_it_is)
+    period, damping = sway(arm, as_it_is)
     assert period == pytest.approx(mean, rel=1e-3)  # gravity to three digits
     own = [60 / (2 * math.sqrt(g * 9.81 * g * x)) for g, x in ((147, both), (90, alone))]
     assert damping == pytest.approx(sum(own) / 2, rel=1e-3)
@@ -158,9 +163,10 @@ def test_the_sway_of_a_grapple_is_the_mean_of_its_axes():
 def test_the_loader_draws_a_line(loader_folder, tmp_path):
     """4 m in its plane with boom, jib and extension moving, valves with hysteresis: within 10 mm."""
     system = load(loader_folder / "loader_control.ssp")
-    names, pose, _ = tracked(system, read_machine(PACKAGE / "controller/tracking.toml"))
+    names, mechanics = tracked(system)
     path, _ = write_route(["7.5,0,1", "3.5,0,1", "7.5,0,1"], 0.5, tmp_path)
-    start = pose((7.5, 1.0, 0.0), system.components["manipulator"].real_parameters())
+    given = system.components["manipulator"].real_parameters()
+    start = start_angles("", (7.5, 1.0, 0.0), given, mechanics.controller)
     found = follow(system, names, path, "loader", True, start)
     assert not found.failure
     assert found.largest < 10e-3

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from fmus.machine.build import build_machine
+from fmus.machine.build import harvester
 
 
 @pytest.fixture(scope="session")
 def faulty(once):
     """Folder of the FMUs and systems."""
-    return once("faulty", lambda folder: build_machine(folder, (2,), faults=True))
+    return once("faulty", lambda folder: harvester(faults=True).write(folder))
 
 
 @pytest.fixture(scope="session")
 def fmu(once):
     """The diagnosis of the harvester alone."""
-    folder = once("diagnosis", lambda f: build_machine(f, (2,), only=("diagnosis",), faults=True))
+    folder = once("diagnosis", lambda f: harvester(faults=True).write(f, only=("diagnosis",)))
     return folder / "diagnosis.fmu"
 
 

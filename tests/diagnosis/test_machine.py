@@ -7,7 +7,7 @@ from kit.mistakes import table
 
 from fmus.controller.harvester import ARM
 from fmus.diagnosis import findings
-from fmus.machine.parts import MACHINES, with_faults
+from fmus.machine.parts import MACHINES, feric
 from fmus.machine.ssp import section_flows
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
@@ -254,11 +254,12 @@ def test_oil_through_a_relief_valve_does_not_pass_the_spool(fmu):
 
 def test_a_pump_that_stands_by_for_a_small_flow_is_no_fault(fmu):
     """4.5 L/min at 32 bar are what 1.55 V ask of a load-sensing machine; 5 V without any flow are not."""
+    machine = feric(faults=True)
     light = {
         "low": 1.2e6,
         "high": 3.4e6,
         "supply": 3.2e6,
-        "parameters": section_flows(with_faults(), with_faults().diagnosis),
+        "parameters": section_flows(machine, machine.diagnosis),
     }
     assert turning(fmu, speed=0.05, command=1.55, **light) == np.inf
     assert turning(fmu, speed=0.0, command=5.0, **light) < 1.0

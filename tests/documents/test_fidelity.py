@@ -133,7 +133,8 @@ def test_the_table_of_held_out_machines_is_that_of_their_results():
 
 def test_a_case_of_the_held_out_machines_runs(built, monkeypatch):
     """Each measure of a short case of the tuning's seed is a number, and the accuracy is reached."""
-    monkeypatch.setattr(held_out.open_job, "time", held_out.open_job.time)  # it counts processor time
+    loop = held_out.simulation_loop
+    monkeypatch.setattr(loop, "time", loop.time)  # it counts processor time
     found = held_out.outcome(held_out.TUNING, 7, built, with_cost=False)
     assert not found.why
     assert 0.0 < found.error <= found.asked

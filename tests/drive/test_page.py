@@ -21,7 +21,7 @@ from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.drive import page as drive_page
 from orchestrator.drive.page import Replayed, find_fmu, fragment, write_page
-from orchestrator.results.validate_system import validate_system
+from orchestrator.results.validate_system import Experiment, validate_system
 
 SCHEMES = ("light", "dark")
 
@@ -34,8 +34,8 @@ def file(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[s
 
     def report() -> Path:
         default = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
-        options = {"default": default, "rate": False, "stop": 1.0}
-        validate_system(fmu_dir / "harvester.ssp", None, None, None, folder, **options)
+        experiment = Experiment(fmu_dir / "harvester.ssp", default, options={"stop": 1.0})
+        validate_system(experiment, folder, rate=False)
         return folder / "report.html"
 
     def replay() -> Path:

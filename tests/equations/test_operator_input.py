@@ -14,12 +14,12 @@ from kit.mistakes import problem
 
 from fmus.composition import compose
 from fmus.contract import unstack
-from fmus.machine import work_cycle
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.work_cycle import sample as sampled
-from fmus.operator_input.model import AHEAD, AXES, OPERATOR, PAYLOADS, STROKES, Stroke, sample
-from fmus.parameters import numbers, values
+from fmus.operator_input import OPERATOR, work_cycle
+from fmus.operator_input.model import AHEAD, AXES, PAYLOADS, STROKES, Stroke, sample
+from fmus.operator_input.work_cycle import sample as sampled
+from fmus.parameters import values
 from orchestrator.base.errors import Problem
 
 _NAMES = ("start", "command", "rise", "hold", "fall")
@@ -124,11 +124,6 @@ def test_no_event_is_lost_in_a_whole():
     whole, folder = {"operator_input": OPERATOR}, OPERATOR.values.parent
     with pytest.raises(Problem, match="whole: operator_input has time events"):
         compose("whole", "The operator alone", whole, (), {}, folder=folder)
-
-
-def test_the_shipped_program_is_the_work_cycle():
-    """parameters.toml is what `python -m fmus.machine.reference` writes."""
-    assert numbers(OPERATOR)["parameters"] == work_cycle.program_numbers()["parameters"]
 
 
 def test_programs_are_the_shipped_scenarios():

@@ -12,6 +12,7 @@ from kit.mistakes import refused, table
 
 from fmus.export.build import build
 from fmus.export.compile import FLAGS, PLATFORMS, host
+from fmus.machine.build import harvester
 from orchestrator.__main__ import main
 from orchestrator.base.errors import Problem
 
@@ -132,7 +133,9 @@ ARM = ("--platform", "aarch64-linux")
 def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versions, platforms, numbers):
     """By default both versions are built for this platform, with the values of the parts."""
     asked = []
-    monkeypatch.setattr("fmus.machine.build.build_machine", lambda *arguments: asked.append(arguments) or [])
+    monkeypatch.setattr("fmus.machine.build.Build.write", lambda _, *where: asked.append(where) or [])
+    made, given = harvester(), list[Path | None]()
+    monkeypatch.setattr("fmus.machine.build.harvester", lambda own, _: given.append(own) or made)
     assert main(["build", "--out", str(tmp_path), *options]) == 0
-    ((folder, fmi, names, own, *_),) = asked
+    ((folder, fmi, names, *_),), (own,) = asked, given
     assert (folder, fmi, set(names), own) == (tmp_path, versions, set(platforms), numbers)

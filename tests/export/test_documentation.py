@@ -21,9 +21,10 @@ from fmus.controller import CONTROLLER
 from fmus.export.build import packages
 from fmus.export.documentation import formulas, mathml, printed, project_file, prose
 from fmus.export.interface import interface_of
+from fmus.machine.build import HELD, HELD_COMMAND, UNPOWERED
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import FAMILIES, FERIC
-from fmus.machine.ssp import HELD, HELD_COMMAND, UNPOWERED, WIRES
+from fmus.machine.ssp import all_wires
 from fmus.parameters import Values, numbers, values
 from fmus.valve_actuation import ACTUATION
 from orchestrator.base.units import pretty
@@ -34,7 +35,7 @@ DOCUMENTS = sorted([*ROOT.glob("*.md"), *(p for top in FOLDERS for p in (ROOT / 
 VARIANTS = [sub for variants in FAMILIES.values() for sub in variants.values()]
 ALONE = [*FERIC.components.values(), ACTUATION, CONTROLLER, HARVESTER]
 SUBSYSTEMS = {sub.name: sub for sub in (*ALONE, *VARIANTS)}
-PARTS = ("swing", "boom_stick", "manipulator")
+PARTS, WIRES = ("swing", "boom_stick", "manipulator"), all_wires(FERIC)
 # part -> rate ports that are connected to it
 RATED = {
     part: {p for wire in WIRES for end in wire if end.startswith(f"{part}.") for p in [end.split(".")[1]]}

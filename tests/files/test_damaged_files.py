@@ -20,7 +20,7 @@ from files.damage import damaged
 from kit import shards
 from kit.any_fmu.models import Workshop
 
-from fmus.machine.ssp import VIEW
+from fmus.machine.build import VIEW
 from orchestrator import load
 from orchestrator.base import files
 from orchestrator.base.errors import Problem

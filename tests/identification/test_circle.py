@@ -6,7 +6,7 @@ from fmus.identification.pipeline import identify
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.report.attribution import attribute
 from fmus.identification.report.prediction import default_values, prediction
-from fmus.machine.build import parts_with_parameters
+from fmus.machine.build import harvester_machine
 from fmus.parameters import values, write
 from fmus.rig import write_all
 
@@ -31,8 +31,8 @@ def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):
     assert errors["pressure"] < 0.10
     assert attribute(seen, default_values(found)).effect == "swinging head"
     write(tmp_path / "own.toml", {"parameters": {n: e.number() for n, (e, _) in found.estimates.items()}})
-    usual, others = parts_with_parameters(tmp_path / "own.toml")
-    for sub in (*usual.values(), *others):
+    families = harvester_machine(tmp_path / "own.toml").families.values()
+    for sub in (sub for family in families for sub in family.values()):
         own = values(sub).p
         for name, (estimate, _) in found.estimates.items():
             if name in own:

@@ -18,7 +18,7 @@ from fmus.identification.machine import FREE, lookup, nominal, short_name, targe
 from fmus.identification.pipeline import PROCEDURES
 from fmus.identification.report import attribution
 from fmus.identification.results import Finding
-from fmus.machine.build import parts_with_parameters
+from fmus.machine.build import harvester_machine
 from fmus.parameters import values
 from fmus.rig.recordings import write, write_all
 from orchestrator.__main__ import main
@@ -101,8 +101,8 @@ def test_the_procedures_write_parameters_and_a_page(which, here, request, capsys
     assert estimates == {n: t["value"] for n, t in tables.items()}
     ran = [name for name in PROCEDURES if name in printed]
     assert ran == [*PROCEDURES][: 7 if which == "everything" else 5][which != "everything" :]
-    usual, _ = parts_with_parameters(Path("parameters.toml"))
-    assert values(usual["swing"]).p["valve_area"] == tables["valve_area"]["value"]
+    machine = harvester_machine(Path("parameters.toml"))
+    assert values(machine.components["swing"]).p["valve_area"] == tables["valve_area"]["value"]
 
 
 @shards.machine

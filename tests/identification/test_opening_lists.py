@@ -15,7 +15,7 @@ from fmus.components import opening_curve
 from fmus.identification import pipeline
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
-from fmus.machine.build import parts_with_parameters
+from fmus.machine.build import harvester_machine
 from fmus.parameters import values
 from orchestrator import Trace, write_trace
 from orchestrator.__main__ import main
@@ -49,7 +49,7 @@ def _write(path: Path, recording) -> None:
     write_description(path.with_suffix(".toml"), described)
 
 
-def test_file_and_report_have_lists_with_their_bands(identified):
+def test_file_and_report_have_lists_with_their_intervals(identified):
     """All four edges, with both ends of the intervals in the JSON file, drawn on the page; exit status 0."""
     status, out = identified
     assert status == 0
@@ -66,7 +66,9 @@ def test_file_and_report_have_lists_with_their_bands(identified):
     openings = [e for e in told["results"][0]["listed"] if e["unit"] == "1" and e["sd"]]
     assert len(openings) >= 12
     assert all(e["low"] < e["value"] < e["high"] for e in openings)
-    assert "Tables with their 95 % bands" in (out.parent / "identification.html").read_text(encoding="utf-8")
+    assert "Tables with 95 % intervals of their points" in (out.parent / "identification.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_a_straight_line_empties_the_tables_of_before():
@@ -106,8 +108,7 @@ def test_a_dead_band_behind_tables_is_not_refined(monkeypatch):
 @pytest.mark.parametrize(("edge", "name"), [("P-A", "pa"), ("P-B", "pb")])
 def test_the_machine_opens_as_the_valve_does(identified, edge, name):
     """The component of the drives, with the numbers of the file, against the true opening."""
-    parts, _ = parts_with_parameters(identified[1])
-    p = values(parts["boom_stick"]).p
+    p = values(harvester_machine(identified[1]).components["boom_stick"]).p
     points = [f"{kind}_{k}" for kind in ("command", "opening") for k in range(1, 11)]
     table = SimpleNamespace(**{point: p[f"valve_{name}_{point}"] for point in points})
     pieces = opening_curve.pieces(table)

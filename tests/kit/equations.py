@@ -13,8 +13,8 @@ from fmus.contract import Subsystem, Symbolic, nested, quantities, symbolic
 from fmus.machine.machine import wiring
 from fmus.machine.parts import FERIC
 from fmus.machine.poses import POSES, parameter
-from fmus.machine.work_cycle import COMMANDS, PROGRAMS, sample
 from fmus.monolith import Monolith, join, simulate
+from fmus.operator_input.work_cycle import COMMANDS, PROGRAMS, sample
 from fmus.parameters import values
 
 SUPPLY = 20.684e6  # Pa

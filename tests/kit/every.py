@@ -11,7 +11,7 @@ from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.export.model_description import COMMUNICATION_STEP, data_file
 from fmus.machine.parts import FAMILIES
-from fmus.operator_input.model import OPERATOR
+from fmus.operator_input import OPERATOR
 from fmus.valve_actuation import ACTUATION
 from kit.fmu import Fmu, driving
 
@@ -66,6 +66,6 @@ def outputs(sub: Subsystem) -> list[str]:
 
 
 def native(name: str, folder: Path) -> Path:
-    """The native FMU in a folder that `build_machine` filled."""
+    """The native FMU in a folder that `harvester build` filled."""
     alone = (OPERATOR.name, ACTUATION.name, CONTROLLER.name)
     return folder / ("" if name in alone else "variants") / f"{name}.fmu"

@@ -8,9 +8,8 @@ from kit import shards
 from kit.mistakes import problem
 
 from orchestrator.studies import Choice, Factor, Output, Study, store, sweep
-from orchestrator.studies.cases import resolve
 from orchestrator.studies.parameter_study import prepare, units_of
-from orchestrator.studies.single_run import outcome, outcomes
+from orchestrator.studies.runs import StudyRuns
 
 MASS = Factor("manipulator.head_mass", "uniform", {"minimum": 300, "maximum": 900})
 OUTPUTS = (
@@ -32,14 +31,19 @@ def results(study, tmp_path_factory):
     return sweep(study, tmp_path_factory.mktemp("study") / "out", workers=2)
 
 
+def begun(study):
+    """The study, ready to run, and its runs."""
+    prepared = prepare(study)
+    return prepared, StudyRuns(prepared.payload)
+
+
 def test_a_study_in_lanes_has_the_results_of_single_runs(study, results):
     """Each output, and the stored signals; the difference is that of the lanes, 1e-11 of the range."""
-    prepared = prepare(study)
-    assert [len(unit) for unit in units_of(prepared, lanes=True)] == [8, 8, 4]
+    prepared, runs = begun(study)
+    assert [len(unit) for unit in units_of(prepared, runs.size)] == [8, 8, 4]
     assert set(results.table["status"]) == {"ok"}
-    (case,) = prepared.payload.cases.values()
     for run in (0, 7, 19):
-        single = outcome(prepared.payload.study, case, prepared.samples[run])
+        (single,) = runs.run((prepared.samples[run],))
         row = results.table[results.table["run"] == run].iloc[0]
         found = [row[f"output:{name}"] for name in ("peak", "mean", "angle")]
         np.testing.assert_allclose(found, single.outputs, rtol=1e-9, atol=1e-12)
@@ -49,14 +53,13 @@ def test_a_study_in_lanes_has_the_results_of_single_runs(study, results):
 
 def test_the_results_do_not_depend_on_the_number_of_workers_or_on_an_interruption(study, results, tmp_path):
     """Bit for bit: two workers, and one after a stop when two runs of a group were stored."""
-    prepared = prepare(study)
-    (case,) = prepared.payload.cases.values()
-    unit = units_of(prepared, lanes=True)[1]
+    prepared, runs = begun(study)
+    unit = units_of(prepared, runs.size)[1]
     (tmp_path / "stopped").mkdir()
     fingerprint = store.fingerprint(prepared.payload, prepared.table)
-    begun = store.Store(tmp_path / "stopped", prepared.payload.study, fingerprint)
-    begun.add(outcomes(prepared.payload.study, case, unit)[2:4])
-    assert begun.done() == {10, 11}
+    stored = store.Store(tmp_path / "stopped", prepared.payload.study, fingerprint)
+    stored.add(runs.run(unit)[2:4])
+    assert stored.done() == {10, 11}
     assert sweep(study, tmp_path / "stopped", workers=1).table.equals(results.table)
 
 
@@ -71,15 +74,14 @@ def test_a_run_that_fails_in_lanes_has_the_reason_of_a_single_run(study, tmp_pat
     )  # fmt: skip
     results = sweep(grid, tmp_path / "out", workers=1)
     assert list(results.table["status"]) == ["ok"] * 7 + ["failed"]
-    resolved, cases = resolve(grid)
-    prepared = prepare(grid)
-    (case,) = cases.values()
-    assert results.table["reason"].iloc[-1] == outcome(resolved, case, prepared.samples[-1]).reason
+    prepared, runs = begun(grid)
+    (single,) = runs.run((prepared.samples[-1],))
+    assert results.table["reason"].iloc[-1] == single.reason
 
 
 def test_a_cluster_runs_one_sample_at_a_time(study):
     """Its computers may have no compiler, and other processors."""
-    assert {len(unit) for unit in units_of(prepare(study), lanes=False)} == {1}
+    assert {len(unit) for unit in units_of(prepare(study))} == {1}
 
 
 @shards.machine

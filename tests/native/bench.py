@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from kit.compile import compiled
 
+from benchmarks.reference import work_cycle
 from fmus.export.compile import HEADERS, PLATFORMS, host
-from fmus.machine.reference import work_cycle
-from fmus.machine.work_cycle import COMMANDS
+from fmus.operator_input.work_cycle import COMMANDS
 
 CODE = Path(__file__).parent / "c"
 STANDARD = ("-std=c99", "-D_XOPEN_SOURCE=700", "-Wall", "-Wextra", "-isystem", str(HEADERS))

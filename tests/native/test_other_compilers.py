@@ -11,7 +11,7 @@ from fmpy import extract, simulate_fmu
 from kit import shards
 from native.bench import STANDARD, assert_same, cycle, drive, needs_gcc, numbers, run
 
-from fmus.machine.work_cycle import WORK_CYCLE_STOP
+from fmus.operator_input.work_cycle import WORK_CYCLE_STOP
 
 pytestmark = shards.c
 

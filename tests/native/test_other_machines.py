@@ -13,8 +13,8 @@ from native.bench import assert_same, begin, cycle, drive, driver, moves, number
 from fmus.export.build import build_all
 from fmus.machine.build import STEP
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.work_cycle import WORK_CYCLE_STOP
-from fmus.operator_input.model import OPERATOR
+from fmus.operator_input import OPERATOR
+from fmus.operator_input.work_cycle import WORK_CYCLE_STOP
 
 pytestmark = shards.platforms
 

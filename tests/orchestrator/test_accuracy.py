@@ -12,9 +12,8 @@ from kit.mistakes import problem, table
 from orchestrator import Coupling, Problem, Result, RunFailed, Trace, assemble, reference, run
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import accuracy as accuracy_search
-from orchestrator.engine import run as engine_run
-from orchestrator.engine.job import Execution, RunEnd
-from orchestrator.engine.result import Card, SignalError
+from orchestrator.engine.job import Job, begun
+from orchestrator.engine.result import Card, RunEnd, SignalError
 from orchestrator.engine.run import run_to_file
 from orchestrator.ssp.coupling import Suggestion
 
@@ -135,9 +134,9 @@ def test_a_source_that_no_step_resolves_is_told(fmus):
 def looked_at(system, stop, scenario=None):
     """The search of an accuracy, and how it looks at the sources of a system."""
     options = {"accuracy": 1e-2, "stop": stop, "isolate": False}
-    request = engine_run.requested(system, scenario, None, None, options)
-    search = request.search()
-    return search, search.sources_alone(request.next_of(search).job())
+    asked = begun(system, scenario, options)
+    search = accuracy_search.AccuracySearch(asked[0], asked[2])
+    return search, search.sources_alone(Job.of(*asked[:2], search.options))
 
 
 @pytest.mark.parametrize(("stop", "step"), [(1.0, 61.80340e-6), (123.6068, 123.6068e-6), (1e4, 618.0340e-6)])
@@ -188,7 +187,7 @@ def test_steps_are_longer_than_suggested_only_where_slopes_are_told(fmus, able, 
     """The FMUs suggest nothing, so that it is 1 ms; else over the golden ratio."""
     rich = {TELLS[2]: "true", **able}
     system = oscillator_of(*(telling(fmus, f"mass_{n}", f"{n}_{len(able)}", able=rich) for n in "ab"))
-    search = accuracy_search.AccuracySearch(system, Execution(accuracy_of=["a.x"]), 1e-2)
+    search = accuracy_search.AccuracySearch(system, {"accuracy_of": ["a.x"], "accuracy": 1e-2})
     assert search.settings.step == pytest.approx(step, rel=1e-6)  # as printed above
     search._next(1.0)
     coupling = search.settings.coupling
@@ -197,7 +196,7 @@ def test_steps_are_longer_than_suggested_only_where_slopes_are_told(fmus, able, 
 
 def test_no_period_divides_both_of_two_steps(moving):
     """Their ratio is the square of the golden one; at order 1 the change is 1.618 times the error."""
-    search = accuracy_search.AccuracySearch(moving, Execution(accuracy_of=["a.x"]), 1e-2)
+    search = accuracy_search.AccuracySearch(moving, {"accuracy_of": ["a.x"], "accuracy": 1e-2})
     t = np.linspace(0.0, 1.0, 101)
     for k, step in enumerate((0.6180340e-3, 0.2360680e-3)):
         assert search.settings.step == pytest.approx(step, rel=1e-6)  # as printed above
@@ -209,7 +208,7 @@ def test_no_period_divides_both_of_two_steps(moving):
 
 def searched(system, accuracy, *errors, adapts=True):
     """The settings of the run that follows runs with these errors, over the accuracy; None if none does."""
-    search = accuracy_search.AccuracySearch(system, Execution(accuracy_of=["a.x"]), accuracy)
+    search = accuracy_search.AccuracySearch(system, {"accuracy_of": ["a.x"], "accuracy": accuracy})
     search._adapts = adapts
     for rms in accuracy * np.array(errors):
         found = {"errors": (SignalError("a.x", rms, rms, change=rms),), "errors_of_inputs": True}
@@ -245,8 +244,8 @@ def test_adaptive_steps_follow_where_equal_ones_would_be_too_short(open_oscillat
 
 def test_the_error_inside_the_fmus_counts(open_oscillator):
     """It is taken for half of their tolerance, if the user wants a loose one."""
-    loose = Execution(accuracy_of=["a.x"], tolerance=1e-5)
-    search = accuracy_search.AccuracySearch(open_oscillator, loose, 1e-6)
+    loose = {"accuracy": 1e-6, "accuracy_of": ["a.x"], "tolerance": 1e-5}
+    search = accuracy_search.AccuracySearch(open_oscillator, loose)
     card = Card("any", search.settings.step, 0.0, 10, 1.0, 1.0, errors_of_inputs=True)
     assert search.judge(Result(open_oscillator, Trace(np.zeros(1), {}), card)) is None
     told = "accuracy 1e-06: the least error of 1 run is 5.0e-06; hermite, adaptive"

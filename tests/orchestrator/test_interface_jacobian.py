@@ -13,7 +13,7 @@ from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine.c_library import Binding, engine_h, library
 from orchestrator.engine.job import Job
 from orchestrator.engine.linear_system import JoinedSystem, Linearisation
-from orchestrator.engine.open_job import simulation
+from orchestrator.engine.simulation_loop import simulation
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import address
 from orchestrator.fmi.interface import read_interface

@@ -16,7 +16,6 @@ from orchestrator import Problem, RunFailed, assemble, load, read_trace, run, wr
 from orchestrator.engine import isolated
 from orchestrator.engine import run as runs
 from orchestrator.engine.accuracy import AccuracySearch
-from orchestrator.engine.job import Execution
 from orchestrator.engine.run import run_to_file
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="faults and limits of POSIX")
@@ -25,7 +24,7 @@ STEPS = {"step": 0.01, "stop": 1.0}
 
 def process():
     """Id of the process that is kept for the next run."""
-    ((worker, _),) = isolated._idle
+    ((worker, _),) = isolated._single._idle
     return worker.pid
 
 
@@ -177,7 +176,7 @@ def test_a_time_limit_is_one_for_all_runs(oscillator, monkeypatch):
     deadlines = []
 
     def noted(job, *arguments):
-        deadlines.append(job.execution.deadline)
+        deadlines.append(job.options["deadline"])
         return run_isolated(job, *arguments)
 
     run_isolated = isolated.run_isolated
@@ -187,7 +186,7 @@ def test_a_time_limit_is_one_for_all_runs(oscillator, monkeypatch):
         run(oscillator, **options, time_limit=LONG)
         assert len(deadlines) > 1
         assert len(set(deadlines)) == 1
-    search = AccuracySearch(oscillator, Execution(accuracy=1e-6, time_limit=1.0, deadline=0.0), 1e-6)
+    search = AccuracySearch(oscillator, {"accuracy": 1e-6, "time_limit": 1.0, "deadline": 0.0})
     assert not search.goes_on()  # after a run that failed, nor after one that is not accurate enough
     coarse = run(oscillator, **STEPS)
     problem(lambda: search.judge(coarse), "^accuracy 1e-06: not reached: .*after 1 s$")

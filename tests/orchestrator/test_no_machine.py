@@ -10,7 +10,7 @@ import orchestrator
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
 from fmus.machine.parts import FAMILIES
-from fmus.operator_input.model import OPERATOR
+from fmus.operator_input import OPERATOR
 
 ROOT = Path(orchestrator.__file__).parent
 FILES = [path for path in sorted(ROOT.rglob("*")) if path.suffix in (".py", ".js", ".html", ".css", ".j2")]

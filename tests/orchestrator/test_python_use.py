@@ -54,7 +54,7 @@ def test_traces_are_equal_if_all_their_values_are():
 def test_the_signature_of_run_has_every_option():
     """A prompt completes them, and they are what `run` accepts."""
     names = set(inspect.signature(run).parameters)
-    assert names == {"system", "scenario", "record", "execution", *declarations(RunArguments)}
+    assert names == {"system", "scenario", *declarations(RunArguments)}
     assert inspect.signature(run).parameters["stop"].default is None
     # one place in the code has the default accuracies; the text of the option names both
     told = " ".join(AccuracyArguments.__doc__.split())

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from kit.mistakes import problem, table
 
-from orchestrator import Coupling, Execution, Interrupted, Problem, Record, Trace, run
+from orchestrator import Coupling, Interrupted, Problem, Trace, run
 from orchestrator.base.errors import Ended
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
-from orchestrator.engine import open_job
+from orchestrator.engine import simulation_loop
 from orchestrator.engine.result import Card, signal_errors
 from orchestrator.engine.run import ProgressBar
 from orchestrator.fmi.description import FmuVariable
@@ -192,7 +192,7 @@ def test_card_counts_and_times(monkeypatch, oscillator):
     """Steps, simulated time, wall time and real-time factor, with a clock that goes on by 0.25 s a look."""
     clock = count()
     times = {"perf_counter": lambda: 0.25 * next(clock), "monotonic": lambda: 0.0}
-    monkeypatch.setattr(open_job, "time", SimpleNamespace(**times))
+    monkeypatch.setattr(simulation_loop, "time", SimpleNamespace(**times))
     card = run(oscillator, step=1e-2, stop=1.0, isolate=False).card
     assert (card.steps, card.simulated) == (100, 1.0)
     assert (card.wall, card.real_time_factor) == (0.25, 4.0)
@@ -255,17 +255,8 @@ def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
     assert "10 s simulated" in shown()
 
 
-def test_options_in_objects_and_in_the_call(oscillator):
-    """Record and estimate are the same; what only the call has is added to an object, whose others stay."""
-    together = {"record": Record(["a.x"], step=0.2), "execution": Execution(error_estimate=True)}
-    one = run(oscillator, step=0.1, stop=1.0, **together)
-    two = run(oscillator, step=0.1, stop=1.0, record=["a.x"], record_step=0.2, error_estimate=True)
-    np.testing.assert_array_equal(one.trace.time, two.trace.time)
-    assert one.card.errors == two.card.errors != ()
-    options = {"execution": Execution(error_estimate=True), "tolerance": 1e-4, "record": Record(["a.x"])}
-    result = run(oscillator, step=0.1, stop=1.0, record_step=0.5, **options)
-    assert len(result.trace.time) == 3
-    assert result.card.errors
+def test_options_in_a_coupling_and_in_the_call(oscillator):
+    """What only the call has is added to a `Coupling`, whose other settings stay."""
     settings = run(oscillator, step=0.1, stop=1.0, master=Coupling("jacobi", 2), guard=1e-2).coupling.settings
     assert settings == Coupling("jacobi", 2, guard=1e-2).settings
 
@@ -273,15 +264,11 @@ def test_options_in_objects_and_in_the_call(oscillator):
 @pytest.mark.parametrize(
     ("given", "option", "value", "got"),
     [
-        (Execution(tolerance=1e-8), "tolerance", 1e-4, "0.0001 and Execution(tolerance=1e-08)"),
-        (Execution(time_limit=9.0, progress=True), "time_limit", "9 s", "9.0 and Execution(time_limit=9.0)"),
-        (Record(["a.x"], step=0.2), "record_step", 0.5, "0.5 and Record(step=0.2)"),
         (Coupling("hermite", tolerance=0.1), "coupling_tolerance", 0.2, "0.2 and Coupling(tolerance=0.1)"),
         (Coupling("jacobi", 2), "order", 3, "3 and Coupling(order=2)"),
     ],
 )
 def test_an_option_is_given_once(oscillator, given, option, value, got):
-    """Where an object of options and the call have it, none of them wins in silence."""
-    name = {Execution: "execution", Record: "record", Coupling: "master"}[type(given)]
-    told = problem(lambda: run(oscillator, step=0.1, stop=1.0, **{name: given, option: value}))
+    """Where a coupling and the call have it, none of them wins in silence."""
+    told = problem(lambda: run(oscillator, step=0.1, stop=1.0, master=given, **{option: value}))
     assert told == f"{option}: expected one value, got {got}"

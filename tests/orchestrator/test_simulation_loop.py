@@ -17,7 +17,7 @@ from kit.shards import few, thinned
 
 from orchestrator import Problem, Trace, assemble, run
 from orchestrator.base import compiler
-from orchestrator.engine import c_library, open_job
+from orchestrator.engine import c_library, simulation_loop
 from orchestrator.ssp.coupling import Coupling
 
 STEPS = {"step": 1e-3, "stop": 1.0}  # a thousand
@@ -148,14 +148,14 @@ def test_chosen_signals_and_coarse_records(alike, oscillator):
 @pytest.mark.parametrize("order", [0, 2])
 def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
     """Threads for the components of Jacobi do not change the results."""
-    monkeypatch.setattr(open_job, "CORES", 3)
+    monkeypatch.setattr(simulation_loop, "CORES", 3)
     parts = oscillators()
     files = {name: part.source.path for name, part in parts.components.items()}
     files |= {"s": fmus["source"], "k": fmus.make("spring", "third", interpolates=True)}
     system = assemble(files, [*map(str, parts.connections), "b.v -> k.v"])
     results = []
     for saving in (np.inf, -1.0):
-        monkeypatch.setattr(open_job, "MIN_SAVING", saving)
+        monkeypatch.setattr(simulation_loop, "MIN_SAVING", saving)
         results.append(run(system, master=Coupling("jacobi", order), **STEPS))
     assert results[1].trace == results[0].trace
 
@@ -228,8 +228,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have swi
 system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "b.x -> a.x2"])
 """
 LONG = """
-from orchestrator.engine import open_job
-open_job.MIN_SAVING = float(sys.argv[5])
+from orchestrator.engine import simulation_loop
+simulation_loop.MIN_SAVING = float(sys.argv[5])
 if len(sys.argv) > 7:
     system = assemble({"talks": sys.argv[7]}, [], {"talks.when": 0.0, "talks.how": 9, "talks.where": -1})
 main = threading.main_thread().ident
@@ -269,7 +269,7 @@ INTERRUPTS = [("jacobi", 1, 1.0), ("jacobi", 1, -1.0), ("hermite", 1, 1.0), ("ja
 @pytest.mark.parametrize(("master", "in_c", "worth"), few(INTERRUPTS[:1], INTERRUPTS, shards.faults))
 def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, worth):
     """With and without threads, and FMUs that Python calls; C checks for an interrupt every 0.1 s."""
-    assert open_job.ADVANCE_TIME <= 0.1
+    assert simulation_loop.ADVANCE_TIME <= 0.1
     files = [part.source.path for part in moving.components.values()]
     rows, reached, steps, complete = interrupted(*files, master, in_c, worth)
     assert int(steps) > 1000

@@ -13,7 +13,7 @@ from kit.mistakes import problem, refused, table
 from orchestrator import Problem, assemble, load, run
 from orchestrator.__main__ import main
 from orchestrator.base.units import LinearTransformation
-from orchestrator.results.validate_system import validate_system
+from orchestrator.results.validate_system import Experiment, validate_system
 from orchestrator.ssp.swap import with_swaps
 
 SSD = Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8")
@@ -215,8 +215,10 @@ def write(**files):
 def validated(reference="m.csv", scenario=None, default=("none.csv", "none.toml"), **options):
     """Validate the system of the bench; the reports go to out/. Returns the text of the card."""
     files = [name and Path(name) for name in (scenario, reference)]
-    options |= {"default": tuple(map(Path, default)), "rate": False, "step": 0.5}
-    return validate_system(Path("build/harvester.ssp").resolve(), *files, None, Path("out"), **options)[1]
+    own = {name: options.pop(name) for name in [*options] if name in Experiment.__dataclass_fields__}
+    system, options = Path("build/harvester.ssp").resolve(), options | {"step": 0.5}
+    experiment = Experiment(system, tuple(map(Path, default)), *files, options=options, **own)
+    return validate_system(experiment, Path("out"), rate=False)[1]
 
 
 RESULT = '[signals.result]\nunit = "m"\n'

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid
 
-from fmus.machine.work_cycle import RATE
+from fmus.operator_input.work_cycle import RATE
 from fmus.rig.experiments import EXPERIMENTS, GROUPS, HOLD, MOTOR_HOLD, experiment
 from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, Experiment, generator, read, record
 from orchestrator.data.description import SignalDescription

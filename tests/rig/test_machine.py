@@ -8,7 +8,7 @@ from kit import shards
 from kit.work_cycle import JOINTS, REFERENCE
 
 from fmus.machine.poses import NOMINAL, POSES
-from fmus.machine.work_cycle import WORK_CYCLE, WORK_CYCLE_STOP
+from fmus.operator_input.work_cycle import WORK_CYCLE, WORK_CYCLE_STOP
 from fmus.rig.experiments import INSTRUMENTS, MACHINE_EXPERIMENTS, TRAINING, experiment, simulate_machine
 
 LITRES = 60e3  # L/min in 1 m3/s

@@ -7,7 +7,7 @@ from kit.mistakes import problem
 
 from orchestrator.studies.cases import resolve
 from orchestrator.studies.parameter_study import sweep
-from orchestrator.studies.single_run import RunOutcome
+from orchestrator.studies.runs import RunOutcome
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Study, read
 

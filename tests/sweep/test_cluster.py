@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from unittest.mock import Mock
 
-import dask
 import psutil
 import pytest
 from distributed import Client, LocalCluster
@@ -23,7 +22,6 @@ from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
 from orchestrator.studies import cluster
-from orchestrator.studies.cases import Sample
 from orchestrator.studies.parameter_study import sweep
 
 pytestmark = shards.faults
@@ -35,10 +33,8 @@ MANY = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop =
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
     """The address of a scheduler with one worker in a process of its own, which is replaced when it dies."""
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        LocalCluster(1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50) as there,
-    ):
+    options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
+    with LocalCluster(1, **options) as there:
         yield there.scheduler_address
 
 
@@ -77,7 +73,7 @@ def test_nothing_is_left_on_the_workers(gain, address, tmp_path):
     with Client(address) as client:
         sweep(study(tmp_path, GAIN, gain), tmp_path / "out", client=client)
         children = client.run(lambda: [" ".join(p.cmdline()) for p in psutil.Process().children()])
-    assert not [line for lines in children.values() for line in lines if "sweep.child" in line]
+    assert not [line for lines in children.values() for line in lines if "worker.main" in line]
 
 
 def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
@@ -122,12 +118,9 @@ def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, tmp_path
 
 def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     """The command does not wait for ever, and says that it can go on."""
-    monkeypatch.setattr(cluster, "as_completed", lambda: Mock(**{"has_ready.return_value": False}))
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT", 0.0)
-    deserted = Mock(**{"nthreads.return_value": {}})
-    batches = cluster.Batches(deserted, "study", None, [(Sample(0, (), {}),)], lambda: None)
-    expected = r"^the Dask cluster has no workers left; finished runs are stored; the"
-    problem(lambda: next(batches.outcomes()), expected)
+    deserted = cluster.Places(Mock(**{"nthreads.return_value": {}}))
+    problem(deserted, r"^the Dask cluster has no workers left; finished runs are stored; the")
 
 
 # ---- a scheduler that is killed in the middle of a study: for real, all in processes of their own

@@ -8,7 +8,8 @@ import pytest
 from sweep.studies import FAILS, GAIN, run, study
 
 from orchestrator import run as single
-from orchestrator.studies.single_run import MEASURES, measure
+from orchestrator.studies.parameter_study import sweep
+from orchestrator.studies.runs import MEASURES, measure
 from orchestrator.studies.study import MEASURES as NAMES
 from orchestrator.studies.study import Output
 
@@ -49,6 +50,15 @@ def test_runs_that_go_wrong_are_rows_too(fmus, tmp_path):
     early = table.loc[6, "run"]
     assert set(results.bands["run"]) == {table.loc[0, "run"], early}
     assert results.bands.loc[results.bands["run"] == early, "time"].max() < 0.2
+
+
+def test_an_fmu_that_is_replaced_meanwhile_is_not_mixed_in(file, gain):
+    """All runs are of the FMU that was there at the start, whose checksum the folder has."""
+    fmu = file.parent / "gain.fmu"
+    results = sweep(file, file.parent / "out", watch=lambda *_: fmu.write_bytes(b"half built"))
+    assert set(results.table["status"]) == {"ok"}
+    fmu.write_bytes(gain.read_bytes())
+    assert run(file)[1] == []
 
 
 def test_measures_of_a_sine():

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from sweep.studies import GAIN, content, run, study
 
 from orchestrator.studies import store
 from orchestrator.studies.parameter_study import prepare
-from orchestrator.studies.processes import run_units
+from orchestrator.studies.runs import StudyRuns
 from orchestrator.studies.store import PARTIAL
 from orchestrator.studies.study import read
 
@@ -38,9 +39,8 @@ def done(finished, tmp_path):
 def rows(finished):
     """Run -> outcome, computed apart from any folder."""
     ready = prepare(read(finished / "study.toml"))
-    found = []
-    run_units(ready.payload, [(sample,) for sample in ready.samples], 1, found.extend)
-    return {row.run: row for row in found}
+    with closing(StudyRuns(ready.payload)) as runs:
+        return {sample.run: runs.run((sample,))[0] for sample in ready.samples}
 
 
 @pytest.fixture
@@ -210,7 +210,7 @@ def test_a_run_stopped_at_its_time_limit_runs_again(file):
     text = text.replace("step = 0.01", "step = 2e-6")  # a run outlasts an interval between two checks
     file.write_text(f"time_limit = 1e-9\n{text}")
     results, _ = run(file)
-    again = [i for i, r in enumerate(results.table["reason"]) if r.startswith("time_limit = 1e-09: not done")]
+    again = [i for i, r in enumerate(results.table["reason"]) if r.startswith("time_limit = 1e-09: ")]
     assert again
     file.write_text(text)
     results, runs = run(file)

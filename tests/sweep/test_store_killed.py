@@ -97,6 +97,6 @@ def test_an_interrupt_keeps_what_is_finished(long):
 def test_an_interrupt_while_the_processes_start(long):
     """It is an interrupt, no process that could not be started."""
     file, _ = long
-    status, *_, wrong = stopped(file, file.parent / "early", interrupt, "sweep-*/errors", 1)
+    status, *_, wrong = stopped(file, file.parent / "early", interrupt, "run-*/errors", 1)
     assert status == 130, wrong
     assert wrong.splitlines()[-1].startswith(f"harvester: interrupted; 0 of {RUNS} runs are stored")

@@ -13,7 +13,7 @@ from sweep.synthetic import ISHIGAMI, ishigami, results
 from orchestrator.lanes.group import FAILED, OK
 from orchestrator.studies.analysis.output_samples import without_numbers
 from orchestrator.studies.parameter_study import StudyProgress, summary
-from orchestrator.studies.single_run import RunOutcome
+from orchestrator.studies.runs import RunOutcome
 
 RATE = r"[0-9.]+ runs/s, \d+ s left"
 _failed = partial(results, ishigami, ISHIGAMI, "latin", 40)

@@ -14,11 +14,11 @@ from kit.mistakes import problem
 from kit.openmodelica import openmodelica
 from kit.work_cycle import PRESSURES as PORTS
 
+from benchmarks.reference import TOLERANCE, work_cycle
 from fmus.machine import CONSTANT_INPUTS, LEVERS
 from fmus.machine.parts import FERIC
-from fmus.machine.reference import TOLERANCE, work_cycle
-from fmus.machine.work_cycle import COMMANDS
 from fmus.monolith import join, simulate
+from fmus.operator_input.work_cycle import COMMANDS
 from orchestrator.__main__ import main
 from orchestrator.modelica import write_package
 

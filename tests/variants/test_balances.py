@@ -56,8 +56,8 @@ FIDELITIES["detailed"] = detailed(lambda axis: 1 + len(axis.name) % 2)
 CRANES = family("crane", **{variant: crane(variant, fidelity) for variant, fidelity in FIDELITIES.items()})
 LOADER = machine().families["drives"]
 DRIVES = {f"{part} {name}": sub for part in PARTS for name, sub in FAMILIES[part].items()} | {
-    "swing, three lumps": swing.with_lumps(3),
-    "boom_stick, different lumps": boom_stick.with_lumps({"boom": 1, "stick": 4}),
+    "swing, three lumps": swing.variants(lumps=3)["detailed"],
+    "boom_stick, different lumps": boom_stick.variants(lumps={"boom": 1, "stick": 4})["detailed"],
     **{f"{variant} crane": sub for variant, sub in CRANES.items()},
     **{f"{variant} loader": LOADER[variant] for variant in ("detailed", "compensated")},
 }

@@ -9,10 +9,10 @@ from kit.any_fmu.edit import edited
 
 from fmus.machine.parts import FAMILIES
 from fmus.machine.tables import variant_names
-from fmus.machine.variant_costs import combinations
 from orchestrator import load
 from orchestrator.__main__ import main
 from orchestrator.base import files
+from orchestrator.studies.variant_costs import combinations
 
 VARIANTS = {part: list(family) for part, family in FAMILIES.items()}
 ALL_COMBINATIONS = [dict(zip(VARIANTS, v, strict=True)) for v in itertools.product(*VARIANTS.values())]
@@ -22,8 +22,8 @@ WATCH = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
 
 def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsys, monkeypatch):
     """Every variant with its states and inputs, where it holds, and its cost beside the usual one's."""
-    monkeypatch.setattr("fmus.machine.variant_costs.LENGTH", 0.02)
-    monkeypatch.setattr("fmus.machine.variant_costs.REPEATS", 1)
+    monkeypatch.setattr("orchestrator.studies.variant_costs.LENGTH", 0.02)
+    monkeypatch.setattr("orchestrator.studies.variant_costs.REPEATS", 1)
     assert main(["variants", "--cost", str(fmu_dir / "harvester.ssp")]) == 0
     printed = capsys.readouterr().out
     indented = (line for line in printed.splitlines() if line.startswith("  ") and line[2] != " ")

@@ -23,7 +23,10 @@ def part_of(sub, **numbers):
     return part
 
 
-@pytest.mark.parametrize("sub", [swing.with_lumps(3), boom_stick.with_lumps({"boom": 1, "stick": 3})])
+@pytest.mark.parametrize(
+    "sub",
+    [swing.variants(lumps=3)["detailed"], boom_stick.variants(lumps={"boom": 1, "stick": 3})["detailed"]],
+)
 def test_started_at_rest_only_leakage_moves(sub):
     """Command zero, piston standing: after 1 s no chamber has changed by more than leakage explains."""
     part = part_of(sub)
@@ -56,7 +59,10 @@ def test_the_spool_starts_where_its_command_wants_it():
 # ---- the limit: stiff walls, no air, a fast spool, relief valves out of the way
 
 # few lumps: what differs from `lumped` is the same for one lump and for many
-FEW = {"swing": DETAILED["swing"], "boom_stick": boom_stick.with_lumps({"boom": 1, "stick": 2})}
+FEW = {
+    "swing": DETAILED["swing"],
+    "boom_stick": boom_stick.variants(lumps={"boom": 1, "stick": 2})["detailed"],
+}
 PRELOAD = 8e6  # Pa: no line of the swing tears while its valve still opens
 SMALL = 1e-5  # eps that stands for zero: the floor is reached
 

@@ -11,8 +11,8 @@ from kit.every import MACHINES
 from fmus.contract import quantities
 from fmus.machine.machine import wiring
 from fmus.machine.parts import DRIVES, FAMILIES, FERIC
-from fmus.machine.work_cycle import COMMANDS, PROGRAMS, WORK_CYCLE_STOP, Move, Stem, payload, sample
 from fmus.monolith import breakpoints, join
+from fmus.operator_input.work_cycle import COMMANDS, PROGRAMS, WORK_CYCLE_STOP, Move, Stem, payload, sample
 
 # boom, swing and stick move and are braked, a stem is taken up and dropped in full motion; the kinks of all
 # levers coincide, because the integrator begins anew at each

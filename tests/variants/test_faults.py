@@ -10,10 +10,10 @@ from kit.mistakes import problem
 from variants.test_additions import flows
 
 from fmus.contract import quantities
-from fmus.machine.parts import FERIC, with_faults
+from fmus.machine.parts import FERIC, feric
 from orchestrator import run
 
-MACHINE = with_faults()
+MACHINE = feric(faults=True)
 CASES = [(part, v) for part, vs in MACHINE.families.items() for v in vs if part != "manipulator"]
 LEAK = 1e-6  # m2
 

@@ -14,7 +14,7 @@ from kit.properties import examples
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from fmus.boom_stick import AXES, VALUES, VARIANTS, with_lumps
+from fmus.boom_stick import AXES, VALUES, VARIANTS, variants
 from fmus.components import hose
 from fmus.components.chamber import AeratedOil
 from fmus.components.circuit import Circuit, Node
@@ -140,7 +140,7 @@ def test_default_hoses_have_the_default_lumps():
     for axis in AXES:
         found = sum(name.startswith(f"{axis.name}_head_hose_pressure_") for name in states)
         assert found == lumps_of(VALUES)(axis)
-    mixed = quantities(with_lumps({"boom": 1, "stick": 3}).states)
+    mixed = quantities(variants(lumps={"boom": 1, "stick": 3})["detailed"].states)
     assert sum("hose_pressure" in name for name in mixed) == 2 * (1 + 3)
 
 
@@ -149,7 +149,7 @@ def hose_errors(lumps: int) -> tuple[np.ndarray, float]:
 
     Linearised with closed valves, locked pistons, no air and hardly any friction.
     """
-    part = Part(with_lumps(lumps), air_share=0.0, viscosity=1e-7, hose_wall_modulus=1e9)
+    part = Part(variants(lumps=lumps)["detailed"], air_share=0.0, viscosity=1e-7, hose_wall_modulus=1e9)
     rest = [WORK if "pressure" in n else 0.0 for n in part.states]
     exact = hose_modes(part.p)
     found = modes(part.of(ca.jacobian(part.model.dx, part.model.x))(rest)[0])
@@ -163,7 +163,7 @@ def hose_modes(p: dict[str, float]) -> np.ndarray:
 
     tan(kl) = -kl C_chamber/C_hose, from the line's equations with P = cos(kx).
     """
-    sub, found = with_lumps(1), []
+    sub, found = variants(lumps=1)["detailed"], []
     u, numbers = values(sub).u, nested(sub.parameters, p)
     for axis in ("boom", "stick"):
         one = hose_line(getattr(numbers, axis), numbers)

@@ -10,8 +10,8 @@ from kit import shards
 from kit.equations import Part, machine, played, work_cycle
 from kit.fmu import driving
 
-from fmus.machine.work_cycle import STEMS, WITH_STEMS, payload
 from fmus.manipulator import VARIANTS
+from fmus.operator_input.work_cycle import STEMS, WITH_STEMS, payload
 from orchestrator import run
 
 

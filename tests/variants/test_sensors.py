@@ -9,10 +9,10 @@ from kit.equations import Part
 from scipy.integrate import solve_ivp
 
 from fmus.controller.paths import start_angles
-from fmus.machine.build import build_machine
-from fmus.machine.parts import FERIC, with_faults
-from fmus.machine.path_following import first_point, follow, read_machine
-from fmus.package_files import PACKAGE, data
+from fmus.machine.build import harvester
+from fmus.machine.parts import FERIC, feric
+from fmus.machine.path_following import HARVESTER, first_point, follow
+from fmus.package_files import data
 from fmus.sensors import noise, sensors
 from orchestrator import load, run
 
@@ -90,7 +90,7 @@ def test_faults_of_a_sensor():
 
 def test_a_machine_with_faults_has_sensors_for_all_that_its_controller_measures():
     """Each measured input of the controller comes from a reading; the other wires are the same."""
-    for made in (with_faults(), machine(faults=True)):
+    for made in (feric(faults=True), machine(faults=True)):
         wires, own = made.sensed(made.controller_wires), made.sensors.name
         into = {target: source for source, target in wires}
         for name in made.measured:
@@ -105,7 +105,7 @@ def test_a_machine_with_faults_has_sensors_for_all_that_its_controller_measures(
 def sensed(tmp_path_factory):
     """The machine with its controller behind sensors."""
     folder = tmp_path_factory.mktemp("sensed")
-    build_machine(folder, (2,), faults=True)
+    harvester(faults=True).write(folder)
     return load(folder / "harvester_sensors.ssp")
 
 
@@ -127,7 +127,7 @@ def test_the_controller_draws_a_line_behind_sensors(sensed):
     The noise costs a few millimetres, by its seed (docs/faults.md). A boom angle that is 2 deg off puts the
     tip off by 2 deg times its distance from the boom pivot, 4 to 4.5 m: 0.14 to 0.16 m, and 15 mm.
     """
-    names, path = read_machine(PACKAGE / "controller/tracking.toml"), data("scenarios/line.csv")
+    names, path = HARVESTER, data("scenarios/line.csv")
     start = start_angles("line", first_point(path, names.path), {})
     found = follow(sensed, names, path, "lumped", True, start)
     assert found.largest < 15e-3

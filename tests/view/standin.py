@@ -15,7 +15,7 @@ import numpy as np
 import uvicorn
 from kit.wait import LONG, until
 
-from fmus.machine.ssp import VIEW
+from fmus.machine.build import VIEW
 from orchestrator.base.toml import read, read_dataclass
 from orchestrator.drive.view_description import ViewDescription
 from orchestrator.realtime.setup import Timing

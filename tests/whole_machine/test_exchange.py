@@ -20,8 +20,8 @@ from kit.fmu import Fmu, driving
 
 from fmus.contract import quantities
 from fmus.machine.parts import FERIC
-from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 from fmus.monolith import breakpoints
+from fmus.operator_input.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 from fmus.parameters import values
 
 # tolerances that leave less than 1e-8 of range: the worst error, of an acceleration, was measured as 3e-8 at

@@ -10,10 +10,10 @@ from kit.equations import Part
 from kit.fmu import driving
 from lxml import etree
 
+from benchmarks.reference import work_cycle
 from fmus.contract import quantities
 from fmus.machine.build import data
 from fmus.machine.parts import FERIC
-from fmus.machine.reference import work_cycle
 from fmus.machine.tables import variant_names
 from orchestrator import load
 
@@ -70,7 +70,7 @@ def test_impossible_values_are_refused_by_name(fmu_dir, name, start, message, ca
 
 
 def test_shipped_work_cycle_is_what_its_moves_give():
-    """data/scenarios/work_cycle.csv is the list of moves in fmus/machine/work_cycle.py, nothing else."""
+    """data/scenarios/work_cycle.csv is the list of moves in `fmus.operator_input`, nothing else."""
     stored = np.loadtxt(data("scenarios/work_cycle.csv"), delimiter=",", skiprows=1)
     time, commands = work_cycle()
     # ten digits

@@ -12,8 +12,7 @@ from fmus.parameters import values
 from fmus.supply import rail
 from orchestrator import Coupling, Trace, batch, run
 from orchestrator.data.trace_writer import write_trace
-from orchestrator.engine.job import Execution
-from orchestrator.engine.run import prepare
+from orchestrator.engine.job import Job
 from orchestrator.lanes.environment import MachinesEnv
 from orchestrator.lanes.group import Group, Lanes
 from orchestrator.realtime.setup import Axis, Setup
@@ -39,7 +38,7 @@ def today(system):
 
 def in_lanes(machine, lanes, numbers, **options):
     """A group of machines with full levers after its run; `numbers` by port."""
-    job = prepare(machine, FULL, SPEEDS, Execution(isolate=False), **options)
+    job = Job.of(machine, FULL, {**options, "record": SPEEDS})
     group = Group(Lanes(job, [job.system.port(name) for name in SPEEDS]))
     rows = [np.full((lanes, job.times.rows), np.nan) for _ in SPEEDS]
     group.run(0, {job.system.port(name): np.array(v) for name, v in numbers.items()}, rows, lanes)

@@ -10,7 +10,7 @@ from kit.mistakes import table
 
 from fmus.machine.parts import FERIC
 from fmus.machine.poses import WORK_SPACE, parameter, pose_grid
-from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE
+from fmus.operator_input.work_cycle import COMMANDS, WORK_CYCLE
 from fmus.parameters import values
 from orchestrator import Problem, run
 from orchestrator.data.trace_writer import RowLayout, TraceFile

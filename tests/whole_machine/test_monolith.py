@@ -7,7 +7,7 @@ from kit.equations import machine
 from kit.mistakes import problem
 from kit.work_cycle import REFERENCE
 
-from fmus.machine import reference
+from benchmarks import reference
 from fmus.monolith import SAME_TIME, breakpoints, merge_times, simulate
 
 

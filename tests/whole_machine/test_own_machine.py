@@ -50,6 +50,7 @@ DRIVE = part(
     numbers={"parameters": numbers(SWING)["parameters"], "start": {}},
 )  # fmt: skip
 OWN = Machine(
+    name="own",
     parts={**FERIC.parts, "saw": {"lumped": DRIVE}, "blade": {"rigid": BLADE}},
     supplies={**FERIC.supplies, "second_supply": supply(["saw"], "second_supply")},
     operator=FERIC.operator,

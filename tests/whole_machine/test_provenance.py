@@ -9,9 +9,8 @@ import pytest
 from lxml import etree
 
 from fmus.export.build import build, packages
-from fmus.machine.build import controller_of, parts_with_parameters
-from fmus.machine.one_block import composed_machine
-from fmus.machine.parts import FERIC
+from fmus.machine.build import harvester_machine
+from fmus.machine.one_block import harvester_block
 from fmus.parameters import not_shipped
 from fmus.supply import SUPPLY
 from orchestrator import load, read_trace, run
@@ -34,7 +33,7 @@ def my_file(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def supplies(my_file) -> dict[str, Path]:
     """The supply built with the file and as shipped, both in FMI 2.0, and the former in FMI 3.0."""
-    mine, folder = parts_with_parameters(my_file)[0]["supply"], my_file.parent
+    mine, folder = harvester_machine(my_file).components["supply"], my_file.parent
     return {
         "mine": build(mine, folder / "build"),
         "mine3": build(mine, folder / "build/fmi3", fmi=3),
@@ -59,8 +58,8 @@ def digest(path: Path) -> str:
 
 def test_values_that_equal_the_shipped_ones_do_not_count(my_file):
     """Of lists each entry that differs counts; a value for one part changes that part only."""
-    parts, others = parts_with_parameters(my_file)
-    found = {sub.name: sorted(not_shipped(sub)) for sub in [*parts.values(), *others]}
+    families = harvester_machine(my_file).families.values()
+    found = {sub.name: sorted(not_shipped(sub)) for family in families for sub in family.values()}
     assert found["supply"] == ["pressure_setting"]
     assert found["boom_stick"] == ["valve_pa_command_1", "valve_pa_command_2"]
     assert found["swing"] == found["swing_quasistatic"] == ["valve_area", *found["boom_stick"]]
@@ -69,10 +68,8 @@ def test_values_that_equal_the_shipped_ones_do_not_count(my_file):
 
 def test_each_fmu_knows_its_file_and_the_shipped_values(my_file, tmp_path):
     """Parts, variants, controller and the whole machine, in both versions; shipped FMUs say nothing."""
-    parts, others = parts_with_parameters(my_file)
-    machine = composed_machine({name: parts[name] for name in FERIC.subsystems})
-    variant = next(sub for sub in others if sub.name == "swing_quasistatic")
-    whole = (machine, controller_of(parts, my_file))
+    machine = harvester_machine(my_file)
+    variant, whole = machine.families["swing"]["quasistatic"], (harvester_block(machine), machine.controller)
     for sub, name in ((variant, "valve_area"), *((sub, "swing_valve_area") for sub in whole)):
         assert not_shipped(sub)[name].shipped == 4e-5
     for package in packages(variant, 1e-3, 1.0, versions=[2, 3]).values():

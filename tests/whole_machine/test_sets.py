@@ -4,11 +4,10 @@ import pytest
 from kit import mistakes
 
 from fmus.contract import quantities
-from fmus.machine.build import parts_with_parameters
-from fmus.machine.one_block import composed_machine
+from fmus.machine.build import harvester_machine
+from fmus.machine.one_block import harvester_block
 from fmus.machine.parts import FAMILIES, FERIC
-from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.ssp import parameter_sets
+from fmus.machine.poses import NOMINAL, POSES, parameter_sets, pose_set
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import numbers, values
 
@@ -19,11 +18,17 @@ MASS = ENTRY.format("head_mass", 400.0, "kg", "weighed")
 
 
 @pytest.fixture
-def machine(tmp_path):
-    """All parts with a set of three numbers."""
+def changed(tmp_path):
+    """The machine with a set of three numbers."""
     (tmp_path / "set.toml").write_text(VALVE + PRELOAD + MASS, encoding="utf-8")
-    usual, others = parts_with_parameters(tmp_path / "set.toml")
-    return {**usual, **{sub.name: sub for sub in others}}
+    return harvester_machine(tmp_path / "set.toml")
+
+
+@pytest.fixture
+def machine(changed):
+    """All its parts by name."""
+    variants = {sub.name: sub for family in changed.families.values() for sub in family.values()}
+    return {**variants, **changed.components}
 
 
 def test_a_name_reaches_every_part_that_declares_it(machine):
@@ -61,9 +66,9 @@ def test_what_the_set_leaves_out_stays(machine):
     assert {v for v, section in changed.items() if section == "start"} == held
 
 
-def test_the_whole_and_the_poses_follow(machine):
+def test_the_whole_and_the_poses_follow(machine, changed):
     """The one block and the poses of the system are of the same machine as the parts."""
-    block = values(composed_machine({name: machine[name] for name in FERIC.subsystems})).p
+    block = values(harvester_block(changed)).p
     assert (block["valve_area"], block["swing_initial_preload"], block["head_mass"]) == (4.1e-5, 1.2e6, 400.0)
     pose = parameter_sets(machine["manipulator"])[NOMINAL]
     assert pose == pose_set(POSES[NOMINAL], machine["manipulator"])

@@ -11,14 +11,14 @@ from kit.every import MACHINES
 from kit.mistakes import problem, refused
 
 from fmus.identification.recordings.reading import doubtful
-from fmus.machine.build import parts_with_parameters
+from fmus.machine.build import harvester_machine
 from orchestrator import batch, compare, linearize, load, read_recording, read_trace, reference, run, validate
 from orchestrator.__main__ import main
 from orchestrator.base import files
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import doubt
 from orchestrator.data.trace_writer import write_trace
-from orchestrator.engine.run import prepare
+from orchestrator.engine.job import Job
 from orchestrator.results.comparison_report import text
 from orchestrator.ssp.plausible import doubtful_signals
 from orchestrator.ssp.system import System
@@ -41,7 +41,7 @@ COLUMNS = [
 
 def warnings(system: System, *arguments, **options) -> tuple[str, ...]:
     """What a run would warn of before its first step."""
-    return prepare(system, *arguments, isolate=False, **options).system.warnings
+    return Job.of(system, *arguments, options=options).system.warnings
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +153,7 @@ def test_a_parameter_file_in_another_unit_is_doubtful(tmp_path, capsys, monkeypa
     light = "my.toml: head_mass = 0.4 kg, usually about 350 kg; did you mean 0.4 t?"
     for mass, told in ((400, ""), (0.4, light)):
         file.write_text(f'[parameters."manipulator.head_mass"]\n{entry.format(mass)}', encoding="utf-8")
-        parts_with_parameters(file)
+        harvester_machine(file)
         assert told in capsys.readouterr().err
 
 
@@ -186,7 +186,7 @@ def test_a_scenario_in_ms_is_refused(systems, built, tmp_path, capsys):
     path = write_trace(replace(line, time=1000 * line.time), tmp_path / "line_in_ms.csv")
     told = refused(capsys, ["track", built / "harvester_control.ssp", "--path", path, "--out", tmp_path])
     assert "path line_in_ms: scenario: time = 21800 s" in told
-    job = prepare(systems[""], file, yes=True, isolate=False)
+    job = Job.of(systems[""], file, {"yes": True})
     assert (job.times.stop, doubt in job.system.warnings) == (8000.0, True)
     arguments = ["--scenario", str(file), "--stop", "0.01", "--out", str(tmp_path / "run.csv")]
     assert main(["run", system, *arguments]) == 0

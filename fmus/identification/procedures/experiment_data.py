@@ -100,15 +100,6 @@ def parameter_value(parameters: Mapping[str, Number], name: str) -> float:
     return parameter(parameters, name).value
 
 
-def constants_remark(recordings: Sequence[Recording], parameters: Mapping[str, Number], *names: str) -> str:
-    """A sentence on known parameters `boom_stick.name` that a result depends on."""
-    tested = stated(recordings[0], "density")
-    values = ((name, parameter(parameters, f"boom_stick.{name}")) for name in names)
-    listed = ", ".join(f"{name.replace('_', ' ')} {n.value:.4g} {n.unit}" for name, n in values)
-    oil = "the same in the tests" if tested is None else f"{tested:.4g} kg/m3 in the tests"
-    return f"Constants that were used: {listed} (density: {oil})."
-
-
 def tank_pressure(recording: Recording) -> float:
     """Gauge pressure of the return line [Pa]: mean of its signal, or the stated one, or 0."""
     if "swing.tank_pressure" in recording.signals:

@@ -1,56 +1,68 @@
-"""Valve procedure (section 4(a), Fig. 5): opening of the metering edges over the command.
+"""Valve procedure (section 4(a), Fig. 5): areas of the metering edges over the command.
 
     C_R = (P_in - P_out)/(Q|Q|), eq. (1)        C_R = rho/(2 C_d^2 A(V)^2), eq. (2)
 
-The data are means over each step with their standard errors; `valve_fit` fits them. If a straight line with a
-dead band suffices for each edge, area, dead band and rounding are the result, fitted to all edges together
-unless these differ. Otherwise each edge gets a table of up to ten points, the same one if the edges do not
-differ.
+The data are means over each step with their standard errors. The steps of all edges are samples of one law of
+`balance`, with the flow q of `orifice.Edge` at the effective area A:
 
-Validity: steady flow above the dead zone of the meter; the opening rises with the command. Only the product
+    Q - L = q(A, dp)        L = G dp - G (dp_s - dp)        A = (a_i + k_i (x - V_i)) (1 + drift t)
+
+a_i is the unknown area at each command V_i, k_i the known slope between its neighbours, L the leakage
+(coefficient G) of the open edge minus that of the closed edge at the same port, which has the rest of the
+pressure drop dp_s from supply to tank. x = V - s lag/2 is the position of a spool with hysteresis, s = 1
+after a rising command and -1 after a falling one; t is the time or the temperature. Lag and drift are tested,
+and estimated with the areas where they are significant. The zeros of the three sensors are unknowns, too, and
+the leakage, which is assumed, not measured (prior: the known one, with a standard deviation as large).
+
+A straight line is this law with fewer unknowns, the opening of `components.spool_valve`:
+
+    A = k ramp(x - V_t + w/2, w) (1 + drift t)        dead band V_t - w/2, rounding w
+
+If chi-square against the free areas does not refute it, it is the result. Otherwise a table of up to nine of
+the areas is. Both are those of all edges together unless these differ. The flow hardly tells w apart from a
+dead band, so their intervals are those of the profile likelihood over all w with a dead band above zero. w is
+as known if the data allow it, else sharp if they allow that.
+
+Validity: steady flow above the dead zone of the meter; leakage below a tenth of it. Only the product
 C_d A sqrt(2/rho) is measured: the area is valid for the known C_d and the density, which is that of the
-recording if it has one.
+recording if it has one. No interval covers commands between those of a table.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
+import casadi as ca
 import numpy as np
 from scipy import stats
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import isotonic_regression
 
-from fmus.identification.balance import UNLIKELY, probability
+from fmus.components.chamber import Liquid
+from fmus.components.opening_curve import POINTS
+from fmus.components.orifice import Edge
+from fmus.identification import balance
+from fmus.identification.balance import UNLIKELY, Law, Normal, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures import opening_curve
-from fmus.identification.procedures.experiment_data import STEP_SIGNALS
+from fmus.identification.procedures.experiment_data import STEP_SIGNALS, StepMeans
 from fmus.identification.procedures.fit import Fit, Procedure
-from fmus.identification.procedures.opening_curve import OpeningCurve
-from fmus.identification.procedures.valve_fit import (
-    CERTAIN,
-    PRESSURES,
-    SAME,
-    Known,
-    ValveFit,
-    ValveSteps,
-    fit,
-    free_offset,
-    offset,
-    require_nodes,
-)
 from fmus.identification.recordings.masks import in_dead_zone, steady
 from fmus.identification.results import (
     BAR,
-    CONFIDENCE,
     LITRES_PER_MINUTE,
     Curve,
     Estimate,
     Finding,
     Panel,
     ProcedureResult,
+    coverage_factor,
 )
 from fmus.parameters import Number
+from fmus.smooth import ramp
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording
 from orchestrator.data.table import Array
@@ -65,102 +77,185 @@ SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges tha
 OTHER_SIZE = 3.0  # times the known area: a wrong unit is more likely than such a valve
 SAME_OIL = 0.01  # relative difference of two densities of one oil
 MOST = 0.5  # share of the samples of a step that show its scatter
+SAME = 2e-3  # of the full command: steps that are closer have one command
+CERTAIN = 4.0  # standard errors above which a flow is certain
+SHARP, WIDTHS = 1e-3, 17  # V, the shortest rounding that the machine reads; number of roundings of a profile
+EXPONENTS = 0.7, 3.0, 231  # of an opening where it begins: a step begins below, a rounding ends with 3
+FURTHER = 10.0  # limits of a zero up to which it may be a fault of a sensor
 COMMAND, RESISTANCE = "command [V]", "C_R [Pa.s2/m6]"  # labels of axes
+PRESSURES = ("pressure_in", "pressure_out")
+CHANNELS = (*PRESSURES, "flow", "command", "supply drop", "change", "course", "density", "viscosity")
+SCATTERED = [CHANNELS.index(n) for n in ("pressure_in", "flow")]
+EFFECTS, LINE = ("lag", "drift"), ("slope", "start")  # unknowns of all edges, and of one straight opening
+LEAK, LEAK_SD = "leak", 1.0  # of the leakage over the known one, less one: it is assumed, not measured
+FINE, DRAWN = 1000, 96  # roundings between those of a profile, and commands at which an opening is drawn
+FACTOR = coverage_factor()
 Test = tuple[float, str]  # probability and sentence of a finding
+Solve = Callable[..., Solution]  # (samples, start, *unknowns that are held) -> the fit of all samples
 
 
 @dataclass(frozen=True)
-class Openings:
-    """Openings of the tested edges.
+class Known:
+    """Parameters of the valve and its oil before the valve is measured; rounding: its sd may be unknown."""
 
-    curves      edge -> its opening with a band; the same object for equal edges
-    common      whether all edges have one straight line
-    own         edge -> its straight opening, if a line suffices for each
-    """
+    discharge_coefficient: float
+    full_command: float
+    leakage: float
+    transition_reynolds: float
+    density: float
+    viscosity: float
+    rounding: Number
 
-    fit: ValveFit
-    curves: Mapping[str, OpeningCurve]
-    common: bool
-    own: Mapping[str, OpeningCurve]
+    @classmethod
+    def of(cls, parameters: Mapping[str, Number]) -> Known:
+        """From the parameters of the machine, whose three valves are identical (section 4(a))."""
+        names = ("discharge_coefficient", "full_command", "leakage", "transition_reynolds")
+        valve = {name: data.parameter_value(parameters, f"boom_stick.valve_{name}") for name in names}
+        rounding = data.parameter(parameters, "boom_stick.valve_command_rounding")
+        oil = {n: data.parameter_value(parameters, f"boom_stick.{n}") for n in ("density", "viscosity")}
+        return cls(**valve, **oil, rounding=rounding)
 
-    @property
-    def straight(self) -> bool:
-        """Whether a straight line suffices for each edge."""
-        return self.fit.straight
+    def resistance(self, area: Array) -> Array:
+        """C_R [Pa.s2/m6] of effective areas [m2] by eq. (2); infinite if the edge is closed."""
+        square = 2 * (self.discharge_coefficient * area) ** 2 / self.density
+        return np.divide(1.0, square, out=np.full_like(square, np.inf), where=square > 0)
 
-    @property
-    def first(self) -> OpeningCurve:
-        """The opening of the first edge, which all have if they are equal."""
-        return next(iter(self.curves.values()))
 
-    @property
-    def largest(self) -> float:
-        """Area at full command of the edge that opens furthest [m2]."""
-        return max(float(curve.areas[-1]) for curve in self.curves.values())
+@lru_cache(maxsize=1)
+def laws() -> Mapping[str, Law]:
+    """The laws of a closed edge, of the area at a command, and of a straight line."""
+    z, known = ca.SX.sym("z", len(CHANNELS)), ca.SX.sym("known", 5)
+    p_in, p_out, flow, command, supply_drop, change, course, density, viscosity = ca.vertsplit(z)
+    coefficient, reynolds, leakage, slope, at = ca.vertsplit(known)
+    u = {name: ca.SX.sym(name) for name in ("area", *LINE, "rounding", *EFFECTS, LEAK)}
+    x, drop = command - u["lag"] * change / 2, p_in - p_out
+    edge = Edge(discharge_coefficient=coefficient, transition_reynolds=reynolds)
+    oil = Liquid(density=density, viscosity=viscosity)
 
-    def distinct(self) -> dict[str, OpeningCurve]:
-        """One entry for all edges with the same curve; its name is "all" then."""
-        if all(curve is self.first for curve in self.curves.values()) and len(self.curves) > 1:
-            return {"all": self.first}
-        return dict(self.curves)
+    def law(area: ca.SX, *names: str) -> Law:
+        through = edge.flow(area * (1 + u["drift"] * course), drop, oil)
+        balanced = flow - leakage * (1 + u[LEAK]) * (2 * drop - supply_drop) - through
+        return balance.law(z, {n: u[n] for n in (*names, *EFFECTS, LEAK)}, known, balanced)
+
+    width = ca.fmax(u["rounding"], SHARP)
+    return {
+        "closed": law(ca.SX(0.0)),
+        "node": law(u["area"] + slope * (x - at), "area"),
+        "line": law(u["slope"] * ramp(x - u["start"] + width / 2, width), *LINE, "rounding"),
+    }
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
-    """Area, dead band and rounding or opening curve of the valve's edges, and C_R over the command."""
+    """Area, dead band and rounding or table of the valve's edges, and C_R over the command."""
     tests = data.training_recordings(recordings, "valve", SIGNALS)
     found = identify_openings(tests, parameters)
-    value, sd = offset(found.fit.solution)
+    value, sd = offset(found.solution)
     zero = Estimate.normal("pressures without flow", value, "Pa", sd, "pressure_in - pressure_out")
     return ProcedureResult(
         procedure="valve",
         title="Valve: C_R of the metering edges over the command",
         figure=5,
-        estimates=tuple(_of_line(found, "") if found.common else _of_curves(found)),
+        estimates=tuple(_estimates(found)),
         panels=panels(found),
         remarks=tuple(_remarks(found, zero)),
-        others=(*_resistances(found), zero, *_effects(found), *_of_edges(found)),
-        findings=(*_findings(tests, found), _size(found, parameters)),
+        others=(*_resistances(found), zero, *_others(found)),
+        findings=tuple(_findings(tests, found, parameters)),
         listed=tuple(_tables(found, parameters)),
     )
 
 
-def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> Openings:
-    """The openings of the edges with their bands."""
+def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ValveFit:
+    """The openings of the edges."""
     tests = data.training_recordings(recordings, "valve", SIGNALS)
     c = Known.of(parameters)
     steps = data.concatenate([_steps_of(r, c) for r in tests])
-    parts = [_classified(steps.of(e), c) for e in steps.edges]
-    steps = data.concatenate(parts)
+    steps = data.concatenate([_classified(steps.of(e), c) for e in steps.edges])
     steps = steps[(steps.command > SAME * c.full_command) | steps.closed]
-    require_nodes(steps, c, MIN_VOLTAGES)
+    for edge in steps.edges:
+        own = steps.of(edge)
+        if (voltages := len(own.grouped(c))) < MIN_VOLTAGES:
+            raise Problem(
+                f"valve {edge}: expected flow at {MIN_VOLTAGES} voltages or more, got {voltages}; left "
+                f"out of {own.command.size} steps: {own.omissions() or 'none'}"
+            )
     limits = data.zero_limits(tests, PRESSURES) | data.declared_limits(tests, ["flow"])
     if (shut := steps[steps.closed]).flow.size:  # which show the zero: it is free
         seen = np.abs(shut.flow) + CERTAIN * shut.flow_error
         limits["flow"] = max(limits.get("flow", 0.0), 2 * float(seen.max()))
-    found = fit(steps, c, limits)
-    # the machine may be as warm as the oil was at either end
-    drift = abs(found.effects["drift"][0]) if "drift" in found.freed else 0.0
-    edges, steps = steps.edges, found.corrected
-    if not found.straight:
-        rises = {e: nodes.falling()[0] >= UNLIKELY for e, nodes in found.nodes.items()}
-        if found.pooled and found.equal > UNLIKELY:
-            one = opening_curve.of_nodes(found.pooled, steps, c, drift, monotone=all(rises.values()))
-            return Openings(found, dict.fromkeys(edges, one), False, {})
-        curves = {
-            e: opening_curve.of_nodes(n, steps.of(e), c, drift, monotone=rises[e])
-            for e, n in found.nodes.items()
-        }
-        return Openings(found, curves, False, {})
-    own = {e: opening_curve.of_line(found.lines, e, steps.of(e), c, drift) for e in edges}
-    label, line = found.line.labels[0], found.line.solution.fit
-    start, sd = line[f"start{label}"], line.sd(f"start{label}")
-    if found.equal <= UNLIKELY or start <= -CERTAIN * sd:  # the machine has no opening at zero command
-        return Openings(found, own, False, own)
-    one = opening_curve.of_line(found.line, label, steps, c, drift)
-    return Openings(found, dict.fromkeys(edges, one), True, own)
+    return fit(steps, c, limits)
 
 
 # ---- steps -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ValveSteps(StepMeans):
+    """Means over the steps of one or several edges.
+
+    command, command_error   magnitude [V] and its standard error
+    supply_drop              pressure drop from supply to tank [Pa]: the largest over an edge, nearly closed
+    course                   oil temperature, or time from the start, from its mean, over its range
+    change                   1 if the command was lower before, -1 if it was higher, 0 for the first step
+    density, viscosity       of the tested oil [kg/m3], [Pa.s]
+    edge                     "P-A", "P-B", "A-T" or "B-T"
+    closed                   a closed edge: its reading is the zero of the flow meter and the leakage
+    idle_flow                flow [m3/s] that the reading allows at most, if a flow is not certain; else NaN
+    """
+
+    command: Array
+    command_error: Array
+    supply_drop: Array
+    course: Array
+    change: Array
+    density: Array
+    viscosity: Array
+    edge: Array
+    closed: Mask
+    idle_flow: Array
+
+    @property
+    def edges(self) -> tuple[str, ...]:
+        """The edges, in the order of the recordings."""
+        return tuple(dict.fromkeys(map(str, self.edge)))
+
+    def of(self, edge: str) -> ValveSteps:
+        """The steps of one edge; of all for the name ""."""
+        return self[self.edge == edge] if edge else self
+
+    def grouped(self, c: Known) -> list[ValveSteps]:
+        """The steps with a flow, those with one command together; commands ascend."""
+        s = self[self.good]
+        s = s[np.argsort(s.command, kind="stable")]
+        ends = np.flatnonzero(np.diff(s.command) > SAME * c.full_command) + 1
+        return [s[rows] for rows in np.split(np.arange(s.command.size), ends) if rows.size]
+
+    def effective(self, c: Known) -> Array:
+        """Effective areas [m2] with the zeros at zero."""
+        flow = np.abs(self.flow)
+        net = np.abs(self.flow - c.leakage * (2 * self.drop - self.supply_drop))
+        gain = c.discharge_coefficient * np.sqrt(2 / self.density)
+        laminar = c.transition_reynolds * self.viscosity / self.density * math.sqrt(math.pi / 4)
+        area = np.zeros_like(flow)
+        for _ in range(4):  # an error of (Q_t/2Q)^4
+            area = np.sqrt(net * (flow + laminar * np.sqrt(area)) / np.abs(self.drop)) / gain
+        return area
+
+    def idle(self, c: Known) -> tuple[Array, Array]:
+        """Commands of steps whose flow is not told from zero, and the largest areas that read so."""
+        shut = self[~self.good & np.isfinite(self.idle_flow)]
+        return shut.command, replace(shut, flow=np.sign(shut.drop) * shut.idle_flow).effective(c)
+
+    def samples(
+        self, c: Known, law: str, names: Mapping[str, str], slope: float = 0.0, at: float = 0.0
+    ) -> Samples:
+        """The steps in one of the laws; names: those of its unknowns among the unknowns of all steps."""
+        zero = np.zeros_like(self.drop)  # only the difference of the pressures counts
+        others = self.supply_drop, self.change, self.course, self.density, self.viscosity
+        raw = np.array([self.drop, zero, self.flow, self.command, *others])
+        noise = [self.drop_error, zero, self.flow_error, self.command_error, *np.zeros_like(others)]
+        known = c.discharge_coefficient, c.transition_reynolds, c.leakage, slope, at
+        found = balance.samples_of(laws()[law], CHANNELS, raw, np.array(noise), known)
+        return replace(found, names=tuple(names.get(n, n) for n in found.names))
 
 
 def _stretches(recording: Recording, c: Known) -> tuple[str, Array, list[slice]]:
@@ -270,198 +365,574 @@ def _closed(steps: ValveSteps, c: Known) -> tuple[Mask, float]:
     return closed, zero
 
 
+# ---- fits --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Free areas [m2] of one opening at its commands [V], (m,) each, ascending, and their covariance."""
+
+    command: Array
+    area: Array
+    covariance: Array
+    solution: Solution
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of the areas [m2]."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def start(self) -> float:
+        """Command [V] at which the power (V - V_0)^n through the lowest three areas begins."""
+        n = np.linspace(*EXPONENTS)
+        roots = self.area[:3, None] ** (1 / n)
+        slope = np.diff(roots, axis=0) / np.diff(self.command[:3])[:, None]
+        k = int(np.argmin(np.abs(slope[1] / slope[0] - 1)))
+        return float(self.command[0] - roots[0, k] / slope[0, k])
+
+    def chord(self) -> tuple[float, float]:
+        """Command [V] at which the straight line through the lowest two areas begins; standard deviation."""
+        a, v, s = self.area, self.command, self.sd
+        length = (v[1] - v[0]) / (a[1] - a[0])
+        return float(v[0] - a[0] * length), float(length * np.hypot(s[0], s[1] * a[0] / a[1]))
+
+    def falling(self) -> tuple[float, float]:
+        """Probability that a rising opening falls as much between any two nodes; largest fall in parts."""
+        first, second = np.triu_indices(self.area.size, 1)
+        fall, variance = self.area[first] - self.area[second], np.diag(self.covariance)
+        sd = np.sqrt(variance[first] + variance[second] - 2 * self.covariance[first, second])
+        p = min(1.0, fall.size * float(stats.norm.sf(np.max(fall / sd))))
+        return p, float(np.max(1 - self.area / np.maximum.accumulate(self.area)))
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Straight openings of some edges with one rounding, or one opening of all, the label "".
+
+    solution    their fit
+    rounding    [V] with its interval by the profile likelihood
+    cost        chi-square of the best rounding, with the zeros
+    """
+
+    solution: Solution
+    rounding: Estimate
+    cost: float
+
+    @property
+    def told(self) -> bool:
+        """Whether the data tell the rounding, which then is an unknown of the fit."""
+        return "rounding" in self.solution.fit.names
+
+    def area(self, label: str, command: float) -> Estimate:
+        """Area [m2] at a command [V]: the ramp of `fmus.smooth`."""
+        fitted, w = self.solution.fit, self.rounding.value
+        slope, z = fitted[f"slope{label}"], command - fitted[f"start{label}"] + w / 2
+        s = min(max(z / w, 0.0), 1.0)
+        foot, by_z = s**3 - s**4 / 2, 3 * s**2 - 2 * s**3
+        opening, by_rounding = w * foot + max(z - w, 0.0), slope * (by_z / 2 + foot - s * by_z)
+        weights = {f"slope{label}": opening, f"start{label}": -slope * by_z, "rounding": by_rounding}
+        sd = math.hypot(fitted.combination(weights)[1], by_rounding * self._sd)
+        return Estimate.normal("", slope * opening, "m2", sd, "")
+
+    def start(self, label: str) -> Estimate:
+        """Dead band [V], which holds each rounding that the data allow."""
+        fitted, w = self.solution.fit, self.rounding
+        value, sd = fitted[f"start{label}"], fitted.combination({f"start{label}": 1.0, "rounding": -0.5})[1]
+        low, high = (w.value, w.value) if self.told else (w.low, w.high)
+        ends = value - w.value / 2, value - high / 2 - FACTOR * sd, value - low / 2 + FACTOR * sd
+        middle, low, high = (max(x, 0.0) for x in ends)
+        return Estimate("", middle, "V", math.hypot(sd, self._sd / 2), low, high, "")
+
+    @property
+    def _sd(self) -> float:
+        return 0.0 if self.told else self.rounding.sd  # a rounding that is told is in the covariance
+
+
+@dataclass(frozen=True)
+class ValveFit:
+    """Fits of the steps of all edges: free areas, and straight lines.
+
+    nodes      edge -> its free areas
+    pooled     free areas of all edges together; None if there is no fit, as the following
+    lines      a straight line for each edge
+    line       one line for all edges
+    scatter    residuals over the noise that steps with one command have, 1 unless it is significantly more
+    effects    lag [V] and drift [1], and their standard deviations
+    freed      those of them that are estimated with the openings
+    """
+
+    steps: ValveSteps
+    known: Known
+    limits: Mapping[str, float]
+    nodes: Mapping[str, Nodes]
+    pooled: Nodes | None
+    lines: Lines | None
+    line: Lines | None
+    scatter: float
+    effects: Mapping[str, tuple[float, float]]
+    freed: tuple[str, ...]
+
+    def _chance(self, cost: float, terms: int) -> float:
+        """Probability of a chi-square that is larger by as much for fewer unknowns."""
+        return float(stats.chi2.sf(max(cost, 0.0) / self.scatter**2, max(terms, 1)))
+
+    @cached_property
+    def p(self) -> float:
+        """Probability that all openings are straight lines, by chi-square against the free areas."""
+        if not self.lines:
+            return 0.0
+        terms = self.lines.solution.fit.freedom - self.by_nodes.fit.freedom
+        return self._chance(self.lines.cost - self.by_nodes.cost, terms)
+
+    @property
+    def straight(self) -> Lines | None:
+        """A straight line for each edge, if that suffices."""
+        return self.lines if self.p >= UNLIKELY else None
+
+    @cached_property
+    def equal(self) -> float:
+        """Probability that equal edges differ as much: that of straight ones if a line suffices."""
+        if self.straight:
+            terms = 2 * (len(self.nodes) - 1)
+            return self._chance(self.line.cost - self.straight.cost, terms) if self.line else 0.0
+        if not self.pooled:
+            return 0.0
+        terms = sum(n.command.size for n in self.nodes.values()) - self.pooled.command.size
+        return self._chance(self.pooled.solution.cost - self.by_nodes.cost, terms)
+
+    @cached_property
+    def common(self) -> Lines | None:
+        """One straight line for all edges, if that suffices; the machine has none that begins below zero."""
+        if not (self.straight and self.line and self.equal > UNLIKELY):
+            return None
+        fitted = self.line.solution.fit
+        return self.line if fitted["start"] > -CERTAIN * fitted.sd("start") else None
+
+    @property
+    def by_nodes(self) -> Solution:
+        """The fit of the free areas of each edge, with the zeros in common."""
+        return next(iter(self.nodes.values())).solution
+
+    @property
+    def solution(self) -> Solution:
+        """The fit whose zeros and residuals are those of the procedure."""
+        return self.straight.solution if self.straight else self.by_nodes
+
+    @cached_property
+    def corrected(self) -> ValveSteps:
+        """The steps without the zero of the pressures, at the commands that they would have without a lag."""
+        lag = self.effects["lag"][0] if "lag" in self.freed else 0.0
+        command = np.maximum(self.steps.command - lag * self.steps.change / 2, 0.0)
+        return replace(self.steps.without_zero(offset(self.solution)[0]), command=command)
+
+    @cached_property
+    def openings(self) -> Mapping[str, Opening]:
+        """Edge -> its opening; the same object for equal edges."""
+        if self.straight and not self.common:
+            return {edge: self.on_line(self.straight, edge) for edge in self.nodes}
+        if self.common or (self.pooled and self.equal > UNLIKELY):
+            return dict.fromkeys(self.nodes, self.on_line(self.common, "") if self.common else self._free(""))
+        return {edge: self._free(edge) for edge in self.nodes}
+
+    @property
+    def distinct(self) -> Mapping[str, Opening]:
+        """The openings without repetitions: of one only the name is ""."""
+        return self.openings if len(set(map(id, self.openings.values()))) > 1 else {"": self.widest}
+
+    @property
+    def widest(self) -> Opening:
+        """That of the edge that opens furthest."""
+        return max(self.openings.values(), key=lambda opening: opening.full.value)
+
+    def on_line(self, lines: Lines, edge: str) -> Opening:
+        """The straight opening of an edge, of all for the name ""."""
+
+        def at(command: float) -> Estimate:
+            return self._drifting(lines.area(edge, command))
+
+        commands = [float(s.command.mean()) for s in self.steps.of(edge).grouped(self.known)]
+        volts = np.array([v for v in commands if v < self.known.full_command * (1 + SAME)])
+        start, known = lines.start(edge), self.known.rounding.value
+        assumed = not lines.told and lines.rounding.value == known
+        if assumed:
+            note = f"rounding {known:.3g} V as known; the interval is that of any rounding"
+            start = replace(start, note=note)
+        rounding = None if assumed else lines.rounding
+        return Opening(*self._to_full(volts, [at(float(v)) for v in volts]), start, rounding, at)
+
+    def _free(self, edge: str) -> Opening:
+        """The opening with free areas.
+
+        It begins anywhere below the first area, but not before the last command but one that has no flow.
+        """
+        nodes = self.nodes[edge] if edge else self.pooled
+        assert nodes
+        steps, inside = self.steps.of(edge), nodes.command < self.known.full_command * (1 + SAME)
+        v, sd, areas = nodes.command[inside], nodes.sd[inside], list[Estimate]()
+        rising = isotonic_regression(nodes.area[inside], weights=sd**-2.0).x
+        for measured, a, s in zip(nodes.area[inside], rising, sd, strict=True):
+            e = self._drifting(Estimate.normal("", float(measured), "m2", float(s), ""))
+            areas.append(replace(e, value=float(a), low=min(e.low, float(a)), high=max(e.high, float(a))))
+        # a meter in its dead zone does not tell that the edge is closed
+        shut = np.unique(np.round(steps.command[steps.closed & ~steps.dead & (steps.command < v[0])], 2))
+        low = float(shut[-2]) if len(shut) > 1 else 0.0
+        value = min(max(nodes.start(), low), float(v[0]) - SHARP)
+        start = Estimate("", value, "V", float(v[0] - low) / 12**0.5, low, float(v[0]), "")
+        return Opening(*self._to_full(v, areas), start, None, None)
+
+    def _to_full(self, v: Array, areas: list[Estimate]) -> tuple[Array, list[Estimate]]:
+        """Commands and areas up to full command, to which the last chord leads; its upper end is open."""
+        full, last = self.known.full_command, areas[-1]
+        if v[-1] >= full * (1 - SAME):
+            return v, areas
+        slope = (last.value - areas[-2].value) / float(v[-1] - v[-2])
+        value = last.value + slope * (full - float(v[-1]))
+        return np.append(v, full), [*areas, replace(last, value=value, high=math.inf)]
+
+    def _drifting(self, e: Estimate) -> Estimate:
+        """With an interval that covers a drift: the machine may be as warm as the oil was at either end."""
+        change = abs(self.effects["drift"][0]) * e.value if "drift" in self.freed else 0.0
+        return replace(e, low=e.low - change, high=e.high + change)
+
+
+@dataclass(frozen=True)
+class Opening:
+    """Opening of an edge where a flow was measured, and the table of it that the machine reads.
+
+    command   [V], shape (m,), ascending; the last one is full command
+    areas     at these [m2], with pointwise 95 % intervals; open at a full command that was not measured
+    start     of the opening [V]
+    rounding  of its start [V], if that is not the known one
+    line      area of a straight line at a command [V]; None for free areas
+    """
+
+    command: Array
+    areas: Sequence[Estimate]
+    start: Estimate
+    rounding: Estimate | None
+    line: Callable[[float], Estimate] | None
+
+    @property
+    def full(self) -> Estimate:
+        """Area at full command [m2]."""
+        return self.areas[-1]
+
+    @property
+    def reached(self) -> bool:
+        """Whether a flow was measured at full command."""
+        return math.isfinite(self.full.high)
+
+    def at(self, command: float) -> Estimate | None:
+        """Area where it is known: between the measured commands for a line, else at these."""
+        k = int(np.argmin(np.abs(self.command - command)))
+        if abs(self.command[k] - command) <= SAME * self.command[-1]:
+            return self.areas[k]
+        measured = self.command if self.reached else self.command[:-1]
+        return self.line(command) if self.line and measured[0] < command < measured[-1] else None
+
+    def relative(self, k: int, widest: Opening, name: str, note: str) -> Estimate:
+        """One of the areas relative to that of an edge at full command."""
+        e, full = self.areas[k], widest.full.value
+        return Estimate(name, e.value / full, "1", e.sd / full, e.low / full, e.high / full, note)
+
+    @cached_property
+    def table(self) -> list[int]:
+        """Indices of at most nine areas with a cubic that is near all of them, in halves of their intervals.
+
+        Each further one is where the cubic is farthest off.
+        """
+        area = np.array([e.value for e in self.areas])
+        half = np.array([max((e.high - e.low) / 2, 1e-4 * area[-1]) for e in self.areas])
+        chosen = [area.size - 1]
+        for _ in range(min(POINTS - 1, area.size) - 1):
+            off = np.abs(self.through(chosen, self.command) - area) / half
+            chosen = sorted({*chosen, int(off.argmax())})
+        return chosen
+
+    def through(self, chosen: Sequence[int], command: Array) -> Array:
+        """Areas as in the machine: a monotone cubic through some measured ones, constant above the last.
+
+        Its slope begins with zero, here by a further point before the start.
+        """
+        first, v = self.start.value, self.command[list(chosen)]
+        before = 2 * first - v[0]
+        cubic = PchipInterpolator([before, first, *v], [0.0, 0.0, *(self.areas[k].value for k in chosen)])
+        return np.asarray(np.where(command <= first, 0.0, cubic(np.clip(command, before, v[-1]))))
+
+    def drawn(self, command: Array) -> Array:
+        """Areas [m2] as the machine has them, at commands (n,)."""
+        if self.line:
+            return np.array([self.line(float(v)).value for v in command])
+        return self.through(self.table, command)
+
+
+def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
+    """Areas and lines of all edges; limits: largest zeros of the sensors.
+
+    A zero of the pressures far outside its limit is taken where the data contradict all zeros within: steps
+    with one command at several pressures, or a straight line, which bends with a zero.
+    """
+    near = None
+    with suppress(Problem):
+        near = _fit(steps, c, limits)
+    limit = sum(limits[n] for n in PRESSURES)
+    outside = near is not None and probability(*free_offset(near.solution), limit) < UNLIKELY
+    if near and near.straight and not outside:
+        return near
+    far = _fit(steps, c, {n: x * FURTHER ** (n in PRESSURES) for n, x in limits.items()})
+    within = abs(offset(far.solution)[0]) < FURTHER * limit
+    return far if near is None or (within and (outside or far.straight)) else near
+
+
+def offset(solution: Solution) -> tuple[float, float]:
+    """Pressure difference without flow [Pa], and its standard deviation."""
+    return solution.every.combination({"pressure_in": 1.0, "pressure_out": -1.0})
+
+
+def free_offset(solution: Solution) -> tuple[float, float]:
+    """`offset` by the data alone, without the priors of the two zeros."""
+    normal, names = solution.normal, list(solution.every.names)
+    k, other = (names.index(n) for n in PRESSURES)
+    kept = np.arange(len(names)) != other  # both zeros have the same effect but for its sign
+    alone = Normal(normal.columns[kept], np.where(np.arange(len(names)) == k, 0.0, normal.prior)[kept])
+    e, row = solution.residual, k - (other < k)
+    step = alone.step(e, solution.every.values[kept])
+    left = e + step @ alone.columns
+    scatter = max(1.0, float(left @ left) / max(solution.fit.freedom, 1))
+    return offset(solution)[0] + float(step[row]), math.sqrt(alone.inverse[row, row] * scatter)
+
+
+def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
+    freed, each = tuple[str, ...](), steps.edges
+
+    def solved(samples: Sequence[Samples], start: Mapping[str, float], *held: str) -> Solution:
+        start = {**start, **dict.fromkeys((*EFFECTS, LEAK), 0.0)}
+        tested = [*held, *(n for n in EFFECTS if n not in freed)]
+        return balance.solve(samples, start, "valve", limits, tested, {LEAK: LEAK_SD})
+
+    try:
+        nodes = _nodes(steps, c, solved, each)
+    except Problem:  # residuals are too large without
+        freed = ("lag",)
+        nodes = _nodes(steps, c, solved, each)
+    effects = _effects(nodes[each[0]].solution, freed)
+    freed += tuple(n for n, (value, sd) in effects.items() if probability(value, sd) < UNLIKELY)
+    if freed:
+        nodes = _nodes(steps, c, solved, each)
+    fitted, pooled = nodes[each[0]].solution.fit, None
+    effects |= {n: (fitted[n], fitted.sd(n)) for n in freed}
+    with suppress(Problem):  # edges that differ much
+        pooled = nodes[each[0]] if len(each) == 1 else _nodes(steps, c, solved, ("",))[""]
+    scatter = fitted.times_noise if fitted.misfit else 1.0
+    lines, line = (_lines(steps, c, solved, scatter, labels) for labels in (each, ("",)))
+    return ValveFit(steps, c, limits, nodes, pooled, lines, line, scatter, effects, freed)
+
+
+def _effects(solution: Solution, freed: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Hysteresis and drift, with each other free; those that are estimated already are left out."""
+    names = [n for n in EFFECTS if n not in freed and np.any(solution.column(n))]
+    if not names:
+        return {}
+    values, covariance = solution.effects(np.array([solution.column(n) for n in names]))
+    pairs = zip(values, np.diag(covariance), strict=True)
+    return {n: (float(v), math.sqrt(s)) for n, (v, s) in zip(names, pairs, strict=True)}
+
+
+def _nodes(steps: ValveSteps, c: Known, solved: Solve, labels: Sequence[str]) -> dict[str, Nodes]:
+    """Free areas of each edge, or of all together for the label ""."""
+    samples, start, own = list[Samples](), dict[str, float](), dict[str, tuple[Array, list[str]]]()
+    for edge in labels:
+        groups = steps.of(edge).grouped(c)
+        at, mean = np.array([(s.command.mean(), s.effective(c).mean()) for s in groups]).T
+        own[edge] = at, [f"area{edge} {x:.4g} V" for x in at]
+        start |= dict(zip(own[edge][1], mean, strict=True))
+        each = zip(groups, own[edge][1], np.gradient(mean, at), at, strict=True)
+        samples += [s.samples(c, "node", {"area": name}, slope, x) for s, name, slope, x in each]
+    if (shut := steps[steps.closed]).drop.size:
+        samples.append(shut.samples(c, "closed", {}))
+    solution, nodes = solved(samples, start), dict[str, Nodes]()
+    for edge, (at, names) in own.items():
+        rows = [solution.fit.names.index(n) for n in names]
+        covariance = solution.fit.covariance[np.ix_(rows, rows)]
+        nodes[edge] = Nodes(at, solution.fit.values[rows], covariance, solution)
+    return nodes
+
+
+def _lines(steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: Sequence[str]) -> Lines | None:
+    """A line for each edge, or one for all for the label "", with its rounding; None if there is no fit."""
+    samples, start = list[Samples](), dict[str, float]()
+    read = np.isfinite(steps.flow_error + steps.drop_error) & ~steps.dead & ~steps.clipped
+    for label in labels:
+        s, names = steps[read].of(label), {n: f"{n}{label}" for n in LINE}
+        samples.append(s.samples(c, "line", names))
+        slope, level = np.polyfit(s.command[s.good], s[s.good].effective(c), 1)
+        start |= dict(zip(names.values(), (float(slope), float(-level / slope)), strict=True))
+    shut = steps[steps.closed & steps.dead]  # tells the zero of the meter, not that the edge is closed
+    if shut.flow.size:
+        samples.append(shut.samples(c, "closed", {}))
+
+    def at(width: float, *held: str) -> Solution | None:
+        with suppress(Problem):
+            return solved(samples, {**start, "rounding": width}, *held)
+        return None
+
+    if not (sharp := at(SHARP, "rounding")):
+        return None
+    longest = max(2 * min(sharp.fit[f"start{label}"] for label in labels), SHARP)
+    guess, prior = c.rounding.value, c.rounding.sd or c.rounding.value
+    known = min(max(guess, SHARP), longest)
+    tried = np.unique([*(SHARP + (longest - SHARP) * np.linspace(0, 1, WIDTHS) ** 2), known])
+    fits = {float(w): found for w in tried if (found := at(float(w), "rounding"))}
+    widths, cost = np.array(list(fits)), np.array([found.cost for found in fits.values()]) / scatter**2
+    k, least = int(cost.argmin()), float(cost.min()) * scatter**2
+    if min(cost[0], cost[-1]) > cost[k] + FACTOR**2:
+        start |= {n: fits[float(widths[k])].fit[n] for n in start}
+        free = at(float(widths[k]))
+        if free and SHARP < (w := free.fit["rounding"]) < longest and (sd := free.fit.sd("rounding")) < prior:
+            return Lines(free, Estimate.normal("", w, "V", sd, "", minimum=SHARP), free.cost)
+    allowed = cost <= cost.min() + FACTOR**2  # by the data alone
+    k = int(np.argmin(np.abs(widths - known)))
+    width = float(widths[k if allowed[k] else 0 if allowed[0] else cost.argmin()])
+    cost += ((widths - guess) / prior) ** 2
+    fine = np.union1d(np.linspace(widths[0], widths[-1], FINE), widths)
+    likely = fine[np.interp(fine, widths, np.sqrt(cost - cost.min())) <= FACTOR]  # in standard deviations
+    low, high = min(float(likely[0]), width), max(float(likely[-1]), width)
+    return Lines(fits[width], Estimate("", width, "V", (high - low) / 2 / FACTOR, low, high, ""), least)
+
+
 # ---- tests of what the procedure takes for granted -----------------------------------------------------
 
 
-def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Finding]:
+def _findings(
+    recordings: Sequence[Recording], found: ValveFit, parameters: Mapping[str, Number]
+) -> Iterator[Finding]:
     """One finding per assumption: the edge that contradicts it most, for as many edges as were tested."""
-    fitted, label = found.fit, "valve"
-    scatters = [_scatter(r, fitted.known) for r in recordings]
+    scatters = [_scatter(r, found.known) for r in recordings]
     for every, noise in ((scatters, True), (recordings, False)):
-        found_in = data.signal_findings(every, STEP_SIGNALS, label)
+        found_in = data.signal_findings(every, STEP_SIGNALS, "valve")
         yield from (f for f in found_in if (f.fault == "noise") == noise)
-    yield from _zeros(recordings, fitted)
-    yield Fit(label, recordings, STEP_SIGNALS, fitted.by_nodes, ()).model()
-    drift = fitted.effects.get("drift", (0.0, 0.0))
-    if hysteresis := _hysteresis(fitted):
-        sentence = (
-            "valve: after a rising command the opening lags by {:.2g} +- {:.1g} {}, against a falling one"
-        )
-        yield Finding("hysteresis", probability(*hysteresis[:2]), sentence.format(*hysteresis))
-    word = data.course(recordings[0], [slice(0, 1)])[1]
-    percent = [100 * x for x in drift]
-    sentence = (
-        f"valve: the area changes with the {word} by {percent[0]:.2g} +- {percent[1]:.1g} % over all of it"
-    )
-    yield Finding("oil temperature", probability(*drift), sentence)
+    yield from _zeros(recordings, found)
+    # the noise of these alone is tested: commands and what was known are exact
+    own = [replace(s, raw=s.raw[SCATTERED], sd=s.sd[SCATTERED]) for s in found.by_nodes.samples]
+    yield Fit("valve", recordings, STEP_SIGNALS, replace(found.by_nodes, samples=own), ()).model()
+    lag, drift = (found.effects.get(name, (0.0, 0.0)) for name in EFFECTS)
+    told = f"after a rising command the opening lags by {lag[0]:.2g} +- {lag[1]:.1g} V"
+    yield Finding("hysteresis", probability(*lag), f"valve: {told}, against a falling one")
+    word, (percent, sd) = data.course(recordings[0], [slice(0, 1)])[1], (100 * x for x in drift)
+    told = f"changes with the {word} by {percent:.2g} +- {sd:.1g} % over all of it"
+    yield Finding("oil temperature", probability(*drift), f"valve: the area {told}")
     for recording in recordings:
         if density := data.stated(recording, "density"):
-            other = abs(density / fitted.known.density - 1) > SAME_OIL
+            other = abs(density / found.known.density - 1) > SAME_OIL
             yield Finding(
                 "density",
                 0.0 if other else 1.0,
                 f"valve: {recording.source.name} was recorded with an oil of {density:.4g} kg/m3, not the "
-                f"machine's of {fitted.known.density:.4g} kg/m3; the areas are those of the recorded oil",
+                f"machine's of {found.known.density:.4g} kg/m3; the areas are those of the recorded oil",
             )
-    falls = [(n.falling(), e) for e, n in fitted.nodes.items()]
+    falls = [(n.falling(), e) for e, n in found.nodes.items()]
     (p, fall), edge = min(falls)
     sentence = f"valve {edge}: the opening falls by {100 * fall:.2g} % while the command rises"
     yield Finding("falling opening", min(1.0, len(falls) * p), sentence)
-    starts = [test for edge in fitted.nodes for test in _start(edge, found)]
+    starts = [test for edge in found.nodes for test in _start(edge, found)]
     p, sentence = min(starts, key=lambda test: test[0])
     yield Finding("dead band", min(1.0, len(starts) * p), sentence)
-
-
-def _size(found: Openings, parameters: Mapping[str, Number]) -> Finding:
-    """Whether the area is far from the known one, as with a pressure in another unit."""
-    known = parameters.get("boom_stick.valve_area")
-    ratio = found.largest / known.value if known else 1.0
-    return Finding(
+    known, largest = parameters.get("boom_stick.valve_area"), found.widest.full.value
+    ratio = largest / known.value if known else 1.0
+    yield Finding(
         "unit",
         0.0 if max(ratio, 1 / ratio) > OTHER_SIZE else 1.0,
-        f"valve: the area at full command is {1e6 * found.largest:.3g} mm2, {ratio:.2g} times the known one: "
+        f"valve: the area at full command is {1e6 * largest:.3g} mm2, {ratio:.2g} times the known one: "
         "is the unit of each signal right? If the valve has this size, state it in the parameters",
     )
 
 
-def _zeros(recordings: Sequence[Recording], fitted: ValveFit) -> Iterator[Finding]:
+def _zeros(recordings: Sequence[Recording], found: ValveFit) -> Iterator[Finding]:
     """The zeros of the pressures, and that of the meter, against what is declared."""
-    declared = data.zero_limits(recordings, PRESSURES)
-    zero, sd = free_offset(fitted.solution)
-    limit, (unit, one) = sum(declared.values()), BAR
+    declared = data.zero_limits(recordings, PRESSURES) | data.declared_limits(recordings, ["flow"])
+    (value, sd), (unit, one) = free_offset(found.solution), BAR
+    limit = sum(declared[n] for n in PRESSURES)
     yield Finding(
         "zero of a pressure sensor",
-        probability(zero, sd, limit),
-        f"valve: the data fit best if the zeros of the two pressures differ by {zero / one:.3g} +- "
+        probability(value, sd, limit) if abs(value) < FURTHER * limit else 1.0,
+        f"valve: the data fit best if the zeros of the two pressures differ by {value / one:.3g} +- "
         f"{sd / one:.2g} {unit}; declared are {limit / one:.3g} {unit}",
     )
-    if fitted.steps.closed.any():
-        zero, sd, (unit, one) = (
-            fitted.solution.every["flow"],
-            fitted.solution.every.sd("flow"),
-            LITRES_PER_MINUTE,
-        )
-        limit = data.declared_limits(recordings, ["flow"]).get("flow", 0.0)
+    if found.steps.closed.any():
+        value, sd = found.solution.every["flow"], found.solution.every.sd("flow")
+        limit, (unit, one) = declared.get("flow", 0.0), LITRES_PER_MINUTE
         yield Finding(
             "zero of a flow meter",
-            probability(zero, sd, limit),
-            f"valve: the flow meter reads {zero / one:.2g} {unit} at closed edges, and {limit / one:.2g} "
+            probability(value, sd, limit),
+            f"valve: the flow meter reads {value / one:.2g} {unit} at closed edges, and {limit / one:.2g} "
             f"{unit} is declared; the reading is subtracted",
         )
 
 
-def _start(edge: str, found: Openings) -> Iterator[Test]:
-    """An edge that is open at zero command, closed where its opening would give a flow, another rounding."""
-    fitted, nodes, c = found.fit, found.fit.nodes[edge], found.fit.known
-    if fitted.straight:
-        first, sd = fitted.lines.solution.fit[f"start{edge}"], fitted.lines.solution.fit.sd(f"start{edge}")
+def _start(edge: str, found: ValveFit) -> Iterator[Test]:
+    """An edge that is open at zero command, or closed where its opening would give a flow."""
+    nodes, lines = found.nodes[edge], found.straight
+    if lines:
+        first, sd = lines.solution.fit[f"start{edge}"], lines.solution.fit.sd(f"start{edge}")
     else:
-        a, v, s = nodes.area, nodes.command, nodes.sd
-        length = (v[1] - v[0]) / (a[1] - a[0])
-        first, sd = float(v[0] - a[0] * length), float(length * np.hypot(s[0], s[1] * a[0] / a[1]))
+        first, sd = nodes.chord()
     yield (
         float(stats.norm.sf(-first / sd)),
         f"valve {edge}: the opening begins at {first:.2g} V: an underlapped spool, or a command with an "
         "offset. The machine has no opening at zero command",
     )
-    # steps at which the meter reads nothing, from the highest command on, although the opening is open;
-    # below the lowest node the least area is that of the steepest start
-    command, bound = fitted.corrected.of(edge).idle(c)
-    lowest, latest = nodes.command[0], float(found.curves[edge].start.max())
-    steep = np.clip((command - latest) / max(lowest - latest, 1e-9), 0.0, None) * nodes.area[0]
-    least = np.where(
-        command >= lowest, np.interp(command, nodes.command, nodes.area), steep * (latest < lowest)
-    )
-    p = stats.norm.sf((least - bound) / np.interp(command, nodes.command, nodes.sd))
-    for k in np.argsort(-command):
+    for command, bound in sorted(zip(*found.corrected.of(edge).idle(found.known), strict=True), reverse=True):
+        # below the lowest free area nothing is known
+        area, sd = (float(np.interp(command, nodes.command, x, left=0.0)) for x in (nodes.area, nodes.sd))
+        if lines:
+            e = lines.area(edge, command)
+            area, sd = e.value, e.sd
         yield (
-            float(p[k]),
-            f"valve {edge}: the flow meter reads nothing at {command[k]:.3g} V, although the opening gives a "
+            float(stats.norm.sf((area - bound) / sd)) if area else 1.0,
+            f"valve {edge}: the flow meter reads nothing at {command:.3g} V, although the opening gives a "
             "flow: the opening has a step, or the meter was stuck",
-        )
-    if fitted.straight and fitted.lines.told:
-        known = c.rounding.value
-        yield (
-            fitted.lines.as_known(known),
-            f"valve {edge}: the opening does not begin with a rounding of {known:.3g} V as known, but with "
-            f"one of {fitted.lines.line(edge)[2]:.2g} V",
         )
 
 
 # ---- estimates -----------------------------------------------------------------------------------------
 
 
-def _of_line(found: Openings, edge: str) -> Iterator[Estimate]:
-    """Area, dead band and rounding of a straight opening; edge "": of all."""
-    lines, curve = (found.fit.lines, found.own[edge]) if edge else (found.fit.line, found.first)
-    label = edge or lines.labels[0]
-    suffix, full = f"[{edge}]" if edge else "", found.fit.known.full_command
-    steps = found.fit.steps.of(edge) if edge else found.fit.steps
-    note = f"fit of {np.count_nonzero(steps.good)} steps, section 4(a)"
-    about = f"{note}, with C_d and density as known"
-    area = lines.area(label, full)[0]
-    if curve.last_measured < full * (1 - SAME):
-        about += ", extrapolated"
-    yield curve.estimate(f"valve_area{suffix}", "m2", about, curve.draws[:, -1], area)
-    _, start, width = lines.line(label)
-    told = "" if lines.told else f", rounding {width:.3g} V as known; the interval is that of any rounding"
-    rounding = _shortest(f"valve_command_rounding{suffix}", width, lines.draws["rounding"], note)
-    name, band = f"valve_dead_band{suffix}", np.maximum(curve.start, 0.0)
-    found_band = _shortest(name, max(start - width / 2, 0.0), band, f"{note}{told}")
-    if rounding.low <= lines.widths[0]:  # a sharp start is not excluded
-        sharp = float(np.quantile(lines.draws[f"start{label}"], (1 + CONFIDENCE) / 2))
-        found_band = replace(found_band, high=max(found_band.high, sharp))
-    yield found_band
-    if lines.told:
-        yield rounding
-    elif width < found.fit.known.rounding.value:
-        note = "twice the start of the straight opening, so that the dead band is not negative"
-        yield Estimate(f"valve_command_rounding{suffix}", width, "V", width / 12**0.5, 0.0, width, note)
-
-
-def _shortest(name: str, value: float, draws: Array, note: str) -> Estimate:
-    """An estimate in V with the shortest interval of the draws: a bound may be the likeliest value."""
-    ordered, count = np.sort(draws), math.ceil(CONFIDENCE * draws.size)
-    first = int(np.argmin(ordered[count - 1 :] - ordered[: draws.size - count + 1]))
-    low, high = float(ordered[first]), float(ordered[first + count - 1])
-    return Estimate(name, value, "V", float(draws.std()), min(low, value), max(high, value), note)
-
-
-def _of_curves(found: Openings) -> Iterator[Estimate]:
-    """Area of the edge that opens furthest, and the first start of an opening."""
-    curves = found.curves.values()
-    note = "at full command by the opening curve, with C_d and density as known"
-    yield _full_area(max(curves, key=lambda curve: float(curve.areas[-1])), "valve_area", note)
-    note = "start of the opening curve; the tables of the edges replace it"
-    yield _first(min(curves, key=lambda curve: float(curve.commands[0])), "valve_dead_band", note)
-
-
-def _full_area(curve: OpeningCurve, name: str, note: str) -> Estimate:
-    return curve.estimate(name, "m2", f"{note}, section 4(a)", curve.draws[:, -1], float(curve.areas[-1]))
-
-
-def _first(curve: OpeningCurve, name: str, note: str) -> Estimate:
-    start = np.maximum(curve.start, 0.0)
-    found = curve.estimate(name, "V", note, start, float(curve.commands[0]))
-    # each exponent below the lowest node is as likely, also the ends of their range
-    return replace(found, low=min(found.low, float(start.min())), high=max(found.high, float(start.max())))
-
-
-def _of_edges(found: Openings) -> Iterator[Estimate]:
-    """Area and start of each edge; openings at the points of the tables with their band."""
-    if found.straight:
-        for edge in found.own:
-            yield from _of_line(found, edge)
+def _estimates(found: ValveFit) -> Iterator[Estimate]:
+    """Those of the one straight opening; of several the largest area and the first start."""
+    if found.common:
+        yield from _of(found.widest, "", f"fit of {np.count_nonzero(found.steps.good)} steps")
         return
-    note = "point of the table, relative to valve_area; the interval is that of the 95 % band"
-    for edge, curve in found.distinct().items():
-        yield _full_area(curve, f"valve_area[{edge}]", "at full command")
-        yield _first(curve, f"valve_dead_band[{edge}]", "start of the opening")
-        for point in curve.openings(found.largest, note):
-            yield replace(point, name=f"opening[{edge}]({point.name} V)")
+    area, *_ = _of(found.widest, "", "largest of all edges")
+    start = min((opening.start for opening in found.openings.values()), key=lambda start: start.value)
+    note = "first start of an opening; the tables of the edges replace it"
+    yield from (area, replace(start, name="valve_dead_band", note=note))
 
 
-def _tables(found: Openings, parameters: Mapping[str, Number]) -> Iterator[Estimate]:
+def _of(opening: Opening, suffix: str, note: str) -> Iterator[Estimate]:
+    """Area, dead band and rounding of an opening."""
+    where = "" if opening.reached else f", extrapolated from {opening.command[-2]:.3g} V"
+    about = f"{note}, section 4(a), with C_d and density as known{where}"
+    yield replace(opening.full, name=f"valve_area{suffix}", note=about)
+    about = ", ".join(filter(None, (note, "section 4(a)", opening.start.note)))
+    yield replace(opening.start, name=f"valve_dead_band{suffix}", note=about)
+    if opening.rounding:
+        yield replace(opening.rounding, name=f"valve_command_rounding{suffix}", note=about)
+
+
+def _others(found: ValveFit) -> Iterator[Estimate]:
+    """The hysteresis, where it is significant; area and start of each edge, openings of the tables."""
+    if "lag" in found.freed:
+        note = "from steps with rising and falling commands"
+        yield Estimate.normal("hysteresis", found.effects["lag"][0], "V", found.effects["lag"][1], note)
+    for edge, opening in found.openings.items():
+        own = found.on_line(found.straight, edge) if found.straight else opening
+        yield from _of(own, f"[{edge}]", f"fit of {np.count_nonzero(found.steps.of(edge).good)} steps")
+        for k in opening.table if not found.straight else ():
+            note, name = "point of the table, relative to valve_area", f"({opening.command[k]:.3g} V)"
+            yield opening.relative(k, found.widest, f"opening[{edge}]{name}", note)
+
+
+def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estimate]:
     """Points of the tables of all edges as parameters; an untested edge gets the table of another.
 
     Empty tables take the place of known ones if a straight line suffices.
@@ -470,7 +941,6 @@ def _tables(found: Openings, parameters: Mapping[str, Number]) -> Iterator[Estim
     def exact(name: str, value: float, unit: str, note: str) -> Estimate:
         return Estimate(name, value, unit, 0.0, value, value, note, f"{name.rpartition('_')[0]}s")
 
-    tested = found.curves
     for edge, other in SAME_WAY.items():
         name = f"valve_{edge.replace('-', '').lower()}"
         if found.common:
@@ -480,54 +950,38 @@ def _tables(found: Openings, parameters: Mapping[str, Number]) -> Iterator[Estim
                 yield exact(f"{name}_command_1", 0.0, "V", note)
                 yield exact(f"{name}_opening_1", 0.0, "1", note)
             continue
-        source = edge if edge in tested else other if other in tested else next(iter(tested))
-        note = f"opening curve of edge {source}, section 4(a); relative to valve_area"
-        for i, command in enumerate(tested[source].commands, 1):
+        source = next(e for e in (edge, other, *found.openings) if e in found.openings)
+        opening, note = found.openings[source], f"edge {source}, section 4(a); relative to valve_area"
+        commands = opening.start.value, *opening.command[opening.table]
+        for i, command in enumerate(commands, 1):
             yield exact(f"{name}_command_{i}", float(command), "V", note)
         yield exact(f"{name}_opening_1", 0.0, "1", note)
-        for i, point in enumerate(tested[source].openings(found.largest, note), 2):
-            yield replace(point, name=f"{name}_opening_{i}", listed=f"{name}_openings")
+        for i, k in enumerate(opening.table, 2):
+            point = opening.relative(k, found.widest, f"{name}_opening_{i}", note)
+            yield replace(point, listed=f"{name}_openings")
 
 
-def _resistances(found: Openings) -> Iterator[Estimate]:
+def _resistances(found: ValveFit) -> Iterator[Estimate]:
     """C_R at the voltages of `VOLTAGES`, and the zero of a straight opening."""
-    c, distinct = found.fit.known, found.distinct()
-    for edge, curve in distinct.items():
-        suffix = "" if len(distinct) == 1 else f"[{edge}]"
+    for edge, opening in found.distinct.items():
+        suffix = f"[{edge}]" if edge else ""
         for voltage in VOLTAGES:
-            areas = curve.draws_at(voltage)
-            if curve.first_measured <= voltage <= c.full_command * (1 + SAME) and areas.min() > 0:
-                draws, note = c.resistance(areas), "eq. (2) with the fitted opening"
-                yield curve.estimate(f"C_R({voltage:g} V){suffix}", "Pa.s2/m6", note, draws)
+            if (e := opening.at(voltage)) and e.low > 0:
+                low, value, high = map(float, found.known.resistance(np.array([e.high, e.value, e.low])))
+                name, note = f"C_R({voltage:g} V){suffix}", "eq. (2) with the fitted opening"
+                yield Estimate(name, value, "Pa.s2/m6", 2 * value * e.sd / e.value, low, high, note)
     if found.common:
         note = "zero of the straight part of the opening, extrapolated"
-        line = found.fit.line
-        yield line.solution.fit.estimate("dead_band + rounding/2", "V", note, f"start{line.labels[0]}")
-
-
-def _hysteresis(fitted: ValveFit) -> tuple[float, float, str] | None:
-    """Its size in V or in % of the flow, standard deviation and unit; None if no command was repeated."""
-    if "lag" in fitted.effects:
-        return *fitted.effects["lag"], "V"
-    if "share" in fitted.effects:
-        value, sd = fitted.effects["share"]
-        return 100 * value, 100 * sd, "% of the flow"
-    return None
-
-
-def _effects(found: Openings) -> Iterator[Estimate]:
-    """The hysteresis of the spool, where it is significant."""
-    if "lag" in found.fit.freed:
-        value, sd = found.fit.effects["lag"]
-        yield Estimate.normal("hysteresis", value, "V", sd, "from steps with rising and falling commands")
+        fitted = found.common.solution.fit
+        yield fitted.estimate("dead_band + rounding/2", "V", note, "start")
 
 
 # ---- remarks and panels --------------------------------------------------------------------------------
 
 
-def _remarks(found: Openings, zero: Estimate) -> Iterator[str]:
-    """Masked steps, line or curve, extrapolation, edges, zeros, what was taken as known."""
-    steps, c = found.fit.steps, found.fit.known
+def _remarks(found: ValveFit, zero: Estimate) -> Iterator[str]:
+    """Masked steps, line or table, commands that were not reached, edges, zeros, what was taken as known."""
+    steps, c = found.steps, found.known
     if (dead := steps[steps.dead]).command.size:
         yield (
             f"{dead.command.size} of {steps.command.size} steps, up to {dead.command.max():.3g} V, are "
@@ -535,42 +989,43 @@ def _remarks(found: Openings, zero: Estimate) -> Iterator[str]:
         )
     if omissions := steps[~steps.dead & ~steps.good & ~steps.closed].omissions():
         yield f"Other steps are left out: {omissions}."
-    edge, p = min(found.fit.p.items(), key=lambda item: item[1])
-    test = f"test of the residuals, {edge}: {_chance(p)}"
-    if found.straight:
+    test = f"chi-square test against the free areas, {_chance(found.p)}"
+    if lines := found.straight:
         yield f"A straight line with a dead band suffices ({test})."
-        if not found.fit.lines.told:
+        known, opening = c.rounding.value, next(iter(found.openings.values()))
+        if not opening.rounding:
             yield (
                 "The data determine the zero of the extrapolated straight part, not the rounding of its "
-                f"start. The dead band is this zero minus half the known rounding of "
-                f"{found.fit.lines.line(edge)[2]:.3g} V."
+                f"start. The dead band is this zero minus half the known rounding of {known:.3g} V."
             )
+        elif not lines.told:
+            yield f"The opening begins as sharply as the data allow, the known rounding is {known:.3g} V."
     else:
         yield (
             f"A straight line does not suffice ({test}). The openings are tables, valve_pa_commands, "
             "valve_pa_openings and so on, which the machine reads in place of valve_dead_band."
         )
-    for edge, curve in found.curves.items():
-        if curve.last_measured < c.full_command * (1 - SAME):
+    for edge, opening in found.openings.items():
+        if not opening.reached:
             yield (
-                f"{edge}: no flow was measured above {curve.last_measured:.3g} V, so the area at "
+                f"{edge}: no flow was measured above {opening.command[-2]:.3g} V, so the area at "
                 f"{c.full_command:.3g} V is extrapolated. Hold the full command twice in such an experiment."
             )
-    edges = list(found.curves)
+    edges = found.openings
     if len(edges) < 2:
-        yield f"Only the edge {edges[0]} was tested; the other three are taken to be like it."
-    elif found.fit.equal > UNLIKELY:
-        chance = f"chi-square test, p = {found.fit.equal:.2g}"
+        yield f"Only the edge {next(iter(edges))} was tested; the other three are taken to be like it."
+    elif found.equal > UNLIKELY:
+        chance = f"chi-square test, p = {found.equal:.2g}"
         yield f"The {len(edges)} edges do not differ significantly ({chance})."
     else:
-        by_edge = ", ".join(f"{e} {curve.areas[-1] * 1e6:.4g} mm2" for e, curve in found.curves.items())
-        yield f"The edges differ significantly (chi-square test, {_chance(found.fit.equal)}): {by_edge}."
+        by_edge = ", ".join(f"{e} {1e6 * opening.full.value:.4g} mm2" for e, opening in edges.items())
+        yield f"The edges differ significantly (chi-square test, {_chance(found.equal)}): {by_edge}."
     yield from data.pressure_offset_remark(zero)
     oil = ("density", steps.density, "kg/m3"), ("viscosity", steps.viscosity, "Pa.s")
     used = (f"{n} {', '.join(f'{x:.4g}' for x in np.unique(values))} {unit}" for n, values, unit in oil)
     yield f"Known: C_d = {c.discharge_coefficient:.4g}, {', '.join(used)}."
     if not steps.closed.any():
-        limit = found.fit.limits.get("flow", 0.0) / LITRES_PER_MINUTE[1]
+        limit = found.limits.get("flow", 0.0) / LITRES_PER_MINUTE[1]
         covered = f"cover {limit:.2g} L/min, not more" if limit else "do not cover it (`zero_error`)"
         yield (
             f"No reading shows the zero of the flow meter: the intervals {covered}. A recording at rest "
@@ -582,35 +1037,30 @@ def _chance(p: float) -> str:
     return f"p = {p:.2g}" if p > 1e-9 else "p < 1e-09"
 
 
-def panels(found: Openings) -> tuple[Panel, ...]:
-    """C_R with the fit, K = Q/sqrt(dp) with masked steps, residual."""
-    steps, c = found.fit.corrected, found.fit.known
+def panels(found: ValveFit) -> tuple[Panel, ...]:
+    """C_R with the fit, K = Q/sqrt(dp) with masked steps and intervals, residual."""
+    steps, c = found.corrected, found.known
     good, dead = steps[steps.good], steps[steps.dead & (steps.drop != 0)]
     # K is straight above the foot of a straight opening, so it also shows the dead band
     root, gain = np.sqrt(np.abs(good.drop)), c.discharge_coefficient * math.sqrt(2 / c.density)
+    masked = np.abs(dead.flow) / np.sqrt(np.abs(dead.drop))
     gains = [
         Curve("measured", good.command, np.abs(good.flow) / root, error=good.flow_error / root),
-        Curve(
-            "masked: dead zone of the meter",
-            dead.command,
-            np.abs(dead.flow) / np.sqrt(np.abs(dead.drop)),
-            "masked",
-        ),
+        Curve("masked: dead zone of the meter", dead.command, masked, "masked"),
     ]
     points, lines, residuals = list[Curve](), list[Curve](), list[Curve]()
-    distinct = found.distinct()
-    for edge, curve in distinct.items():
-        label = f": {edge}" if len(distinct) > 1 else ""
-        seen = curve.command >= curve.first_measured  # towards the foot it is infinite
-        resistance = c.resistance(curve.area[seen])
-        lines.append(Curve(f"fit, eq. (2){label}", curve.command[seen], resistance, "fit", line=True))
-        band = gain * curve.low, gain * curve.high
-        gains.append(Curve(f"fit{label}", curve.command, gain * curve.area, "fit", line=True, band=band))
-    for edge, curve in found.curves.items():
+    for edge, opening in found.distinct.items():
+        label = f": {edge}" if edge else ""
+        volts = np.unique([*np.linspace(0.0, c.full_command, DRAWN), opening.start.value, *opening.command])
+        area = opening.drawn(volts)
+        seen = volts >= opening.command[0]  # towards the foot it is infinite
+        lines.append(Curve(f"fit, eq. (2){label}", volts[seen], c.resistance(area[seen]), "fit", line=True))
+        gains.append(Curve(f"fit{label}", volts, gain * area, "fit", line=True))
+    for edge, opening in found.openings.items():
         s = good.of(edge)
         points.append(Curve(edge, s.command, np.abs(s.resistance), error=s.resistance_error))
         area = s.effective(c)
-        left = (area - np.interp(s.command, curve.command, curve.area)) / area * np.abs(s.flow)
+        left = (area - opening.drawn(s.command)) / area * np.abs(s.flow)
         error = np.hypot(s.flow_error, s.flow * s.drop_error / s.drop / 2)
         residuals.append(Curve(edge, s.command, left, error=error))
     return (

@@ -88,7 +88,7 @@ def draw_procedure(result: ProcedureResult, kinds: Iterable[str] = (), *, titled
 
 
 def opening_panel(listed: Sequence[Estimate]) -> Panel | None:
-    """The tables of the opening curves with their bands; None if there is none, as for a straight line."""
+    """The tables of the openings with their intervals; None if there is none, as for a straight line."""
     lists = {name: tuple(points) for name, points in groupby(listed, key=lambda e: e.listed)}
     tables: dict[tuple[Any, ...], list[str]] = {}
     for name, commands in lists.items():
@@ -98,11 +98,16 @@ def opening_panel(listed: Sequence[Estimate]) -> Panel | None:
             table = tuple((command.value, e.value, e.low, e.high) for command, e in points)
             tables.setdefault(table, []).append("-".join(stem.rpartition("_")[2].upper()))
     curves = [
-        Curve(", ".join(edges), x, y, "compared", line=True, band=(low, high))
+        Curve(", ".join(edges), x, y, "compared", line=True, error=np.array([y - low, up]))
         for table, edges in tables.items()
         for x, y, low, high in [np.array(table).T]
+        for up in [np.where(np.isfinite(high), high - y, 0.0)]  # an open end has no bar
     ]
-    return Panel("command [V]", "opening", tuple(curves), "Tables with their 95 % bands") if curves else None
+    return (
+        Panel("command [V]", "opening", tuple(curves), "Tables with 95 % intervals of their points")
+        if curves
+        else None
+    )
 
 
 def _columns(panels: Sequence[Panel]) -> list[Column]:
@@ -213,9 +218,6 @@ def _style(curve: Curve, index: int, *, measured_line: bool, several: bool) -> d
 
 def _draw_curve(axes: Axes, panel: Panel, curve: Curve, style: dict[str, Any]) -> None:
     x, y = curve.x / panel.x_unit[1], curve.y / panel.y_unit[1]
-    if curve.band is not None:
-        low, high = (end / panel.y_unit[1] for end in curve.band)
-        axes.fill_between(x, low, high, color=style["color"], alpha=0.2, linewidth=0)
     if curve.line and curve.error is None and bool(np.all(np.diff(x) > 0)):
         x, y = decimate(x, y)
     if len(x) > CLOUD and not curve.line:

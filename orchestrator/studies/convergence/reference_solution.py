@@ -22,7 +22,8 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME, Trace, rounding
 from orchestrator.engine.arguments import CaseArguments
 from orchestrator.engine.result import widest_of_unit
-from orchestrator.engine.run import ScenarioSource, run
+from orchestrator.engine.run import run
+from orchestrator.engine.scenario import ScenarioSource
 from orchestrator.results.metrics import AT_REST
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import System

@@ -12,7 +12,8 @@ from typing import Any, Unpack
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import seconds
 from orchestrator.engine.arguments import RunArguments
-from orchestrator.engine.run import ScenarioSource, attempt, run
+from orchestrator.engine.run import attempt, run
+from orchestrator.engine.scenario import ScenarioSource
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.masters import MASTERS
 from orchestrator.ssp.swap import used_ports

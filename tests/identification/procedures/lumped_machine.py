@@ -9,7 +9,7 @@ from kit.equations import machine, played
 from fmus.identification.procedures import momentum_balance
 from fmus.identification.procedures.momentum_balance import ALL_PRESSURES, ANGLES, PARAMETERS
 from fmus.machine.parts import FERIC
-from fmus.machine.work_cycle import Move
+from fmus.operator_input.work_cycle import Move
 from fmus.parameters import complete
 from orchestrator.data.recording import Sensor
 

@@ -1,6 +1,8 @@
 """Opening curves of the valve from recordings of `benchmarks.openings`, which has equations of its own."""
 
 from dataclasses import replace
+from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +11,9 @@ from kit import shards
 from scipy import stats
 
 from benchmarks import openings as bench
-from fmus.components import spool_valve
+from fmus.components import opening_curve
 from fmus.identification import results
-from fmus.identification.procedures import opening_curve, valve, valve_fit
-from orchestrator.base.errors import Problem
+from fmus.identification.procedures import valve
 from orchestrator.data.recording import Sensor
 
 QUICK = ("line^1", "line^1.05", "asymmetric 2")  # a line, nearly one, and two other shapes
@@ -30,13 +31,18 @@ def likely(count, wrong):
     return stats.binom.isf(wrong, count, 0.05)
 
 
-def test_bands_hold_the_true_curve(trials):
-    """The 95 % band holds the truth at nine of ten points, over the whole command and all shapes."""
-    wrong = [t for t in trials if t.inside < 0.9]
-    # a whole curve is inside with 95 %: of 16 at most two
-    assert len(wrong) <= likely(len(trials), 0.05), wrong
-    # bands are no excuse: 0.25 % of the area is the noise with zeros of 0.5 bar, tables have twice that
-    assert max(t.half_band for t in trials) < 0.01
+def test_intervals_hold_the_areas_at_the_measured_commands(trials):
+    """95 % intervals of the areas at single commands, over all shapes."""
+    # zeros are common to a valve: its areas miss together, so a valve counts as one; of 8 at most two
+    wrong = [t for t in trials if t.inside < 0.8]
+    assert len({t.valve for t in wrong}) <= likely(len({t.valve for t in trials}), 0.01), wrong
+    # intervals are no excuse: 0.25 % of the area is the noise with zeros of 0.5 bar
+    assert max(t.half for t in trials) < 0.005
+
+
+def test_tables_follow_the_opening_between_the_measured_commands(trials):
+    """The machine's curve through nine of the areas; a kink between two of them is 3.3 % of the area off."""
+    assert max(t.table for t in trials) < 0.033
 
 
 def test_areas_at_full_command_and_starts_are_right(trials):
@@ -102,9 +108,11 @@ def test_tables_are_what_the_machine_reads():
         assert (openings[0], openings[-1], commands[-1]) == (0.0, 1.0, 10.0)
 
 
-def shaken(share, falling_flow, noise=1e-3, seed=4):
-    """An edge whose command was recorded with a noise [V], and whose flow changes on the way down."""
-    recording = bench.edge("P-A", share, np.zeros(2), [seed])
+def shaken(share, lag=0.0, noise=1e-3, seed=4, falling_flow=1.0):
+    """An edge whose spool lags [V], whose command has a noise [V], and whose flow changes on the way down."""
+    volts = np.array(bench.STEPS)
+    moved = volts - lag / 2 * np.sign(np.diff(volts, prepend=0.0))
+    recording = bench.edge("P-A", lambda v: share(moved if v.size == volts.size else v), np.zeros(2), [seed])
     command = recording["command"] + np.random.default_rng(seed).normal(0.0, noise, recording.time.size)
     falling = np.arange(recording.time.size) > recording.time.size / 2
     flow = np.where(falling, falling_flow, 1.0) * recording["flow"]
@@ -113,29 +121,35 @@ def shaken(share, falling_flow, noise=1e-3, seed=4):
     return replace(read, sensors=recording.sensors | sensors)
 
 
-def test_hysteresis_is_named():
-    """Flows smaller when the command falls; also if noise lets no two steps have exactly one command."""
-    assert "hysteresis" in faults(valve.identify([shaken(bench.power(1.2), 0.98, noise=0.0)], bench.KNOWN))
-    result = valve.identify([shaken(bench.power(2.0), 0.9)], bench.KNOWN)
-    assert "hysteresis" in faults(result)
-    # the mean of both ways is 5 % below the way up, and the band is wide
-    assert result.estimates[0].value == pytest.approx(0.95 * bench.AREA, rel=0.05)
+@pytest.mark.parametrize(
+    ("share", "noise"),
+    shards.few(
+        [(BENT, 0.0), (bench.FINE, 1e-3)], product((LINE, BENT, bench.FINE), (0.0, 1e-3)), shards.search
+    ),
+)
+def test_hysteresis_is_named_and_taken_out(share, noise):
+    """A spool that lags by 0.1 V; also if noise lets no two steps have exactly one command."""
+    result = valve.identify([shaken(share, 0.1, noise)], bench.KNOWN)
+    # between two commands of a bent curve the slope is not known to the noise, which is a lack of the model
+    assert {*faults(result)} - {"model"} == {"hysteresis"}
+    lag = named(result)["hysteresis"]
+    assert lag.value == pytest.approx(0.1, abs=4 * lag.sd)
+    # the area of the bench is between those of both ways, which is 0.1 V of 9.4 V apart, 1 %
+    assert result.estimates[0].value == pytest.approx(bench.AREA, rel=0.01)
+
+
+def test_flows_that_differ_on_the_way_down_are_no_zero_and_are_told():
+    """Flows 10 % smaller when the command falls are no lag of a spool: the residuals say so."""
+    told = faults(valve.identify([shaken(bench.power(1.02), falling_flow=0.9, noise=0.0)], bench.KNOWN))
+    assert "model" in told
+    assert "zero of a pressure sensor" not in told
 
 
 # one curve; the noise is the same for the others
 @pytest.mark.parametrize("share", shards.few([BENT], [BENT, bench.FINE, bench.KINKED], shards.search))
 def test_noise_of_the_command_is_no_hysteresis(share):
     """Steps with nearly one command scatter as their noise says."""
-    assert faults(valve.identify([shaken(share, 1.0)], bench.KNOWN)) == []
-
-
-# 1.02 is a line but for a zero that would be, 1.1 is none
-@pytest.mark.parametrize("exponent", shards.few([1.02], [1.02, 1.1], shards.search))
-def test_hysteresis_is_no_zero_of_the_pressures(exponent):
-    """With one supply a smaller flow on the way down is none of the pressures, nor is a line with 70 bar."""
-    result = valve.identify([shaken(bench.power(exponent), 0.9, noise=0.0)], bench.KNOWN)
-    assert "hysteresis" in faults(result)
-    assert "zero of a pressure sensor" not in faults(result)
+    assert faults(valve.identify([shaken(share)], bench.KNOWN)) == []
 
 
 def test_oil_that_warms_is_named():
@@ -208,32 +222,56 @@ def test_a_zero_of_the_pressures_is_seen_at_two_supplies(monkeypatch, bar):
     assert zero.value == pytest.approx(2 * bar * bench.BAR, abs=0.04 * bench.BAR)
 
 
-def test_a_sharp_start_is_named_if_it_is_seen_and_else_in_the_interval(monkeypatch):
-    """An opening from 0.7 V on, not rounded over the known 0.4 V; a meter without a dead zone sees it."""
+def gear_meter(monkeypatch, step=0.25):
+    """A bench whose meter has no dead zone, with steps of one height up and down."""
+    meter = replace(bench.SENSORS["flow"], dead_zone=0.0, resolution=0.01 * bench.LITRES)
+    monkeypatch.setitem(bench.SENSORS, "flow", meter)
+    up = np.arange(0.0, 10.01, step)
+    monkeypatch.setattr(bench, "STEPS", tuple(np.round([*up, *up[::-1]], 9)))
+
+
+def test_a_sharp_start_that_is_not_seen_is_in_the_interval():
+    """An opening from 0.7 V on, not rounded over the known 0.4 V, in the dead zone of the meter."""
     unseen = named(found(bench.power(1.0, 0.7)))["valve_dead_band"]
     assert unseen.low <= 0.7 <= unseen.high
     assert unseen.high < 0.8
-    meter = replace(bench.SENSORS["flow"], dead_zone=0.0, resolution=0.01 * bench.LITRES)
-    monkeypatch.setitem(bench.SENSORS, "flow", meter)
-    result = found(bench.power(1.0, 0.7))
-    assert faults(result) == ["dead band"]
-    seen = named(result)["valve_dead_band"]
-    assert seen.low <= 0.7 <= seen.high
 
 
-@pytest.mark.parametrize("start", [0.8, 0.5])
-def test_the_interval_of_a_dead_band_holds_sharp_and_rounded_starts(monkeypatch, start):
-    """Steps of 0.25 V, a meter without a dead zone: the known rounding once made 0.6 V of 0.8 V."""
-    meter = replace(bench.SENSORS["flow"], dead_zone=0.0, resolution=0.01 * bench.LITRES)
-    monkeypatch.setitem(bench.SENSORS, "flow", meter)
-    monkeypatch.setattr(bench, "STEPS", tuple(np.arange(0.0, 10.01, 0.25)))
-    estimates = named(found(bench.power(1.0, start)))
-    band, rounding = (estimates[f"valve_{n}"] for n in ("dead_band", "command_rounding"))
-    assert band.low < band.value < band.high
+@pytest.mark.parametrize(("start", "step"), [(0.8, 0.25), (0.5, 0.25), (0.7, 0.2)])
+def test_a_sharp_start_is_found(monkeypatch, start, step):
+    """A meter without a dead zone: no warning, although another rounding was known; within 0.03 V."""
+    gear_meter(monkeypatch, step)
+    result = found(bench.power(1.0, start))
+    band, rounding = (named(result)[f"valve_{n}"] for n in ("dead_band", "command_rounding"))
+    assert faults(result) == []
+    # the step of the command leaves it open; a rounding that the data cannot tell is taken as none
+    assert band.value == pytest.approx(start, abs=0.03)
     assert band.low <= start <= band.high
     # the step below the start has no flow: a rounding of 0.5 V would begin there
     assert band.high - band.low < 0.25
     assert rounding.low < 0.01 < rounding.high < 0.5
+
+
+def rounded(dead_band, width):
+    """A straight opening behind a dead band, rounded over a width [V] as the machine's."""
+
+    def ramp(z):
+        s = np.clip(z / width, 0.0, 1.0)
+        return width * (s**3 - s**4 / 2) + np.maximum(z - width, 0.0)
+
+    return lambda v: ramp(v - dead_band) / ramp(bench.FULL - dead_band)
+
+
+@pytest.mark.parametrize(("dead_band", "width"), [(0.7, 0.2), (0.5, 0.6), (0.6, 0.4)])
+def test_a_rounded_start_is_in_the_interval(monkeypatch, dead_band, width):
+    """Shorter, longer and equal to the known 0.4 V."""
+    gear_meter(monkeypatch)
+    estimates = named(found(rounded(dead_band, width)))
+    band = estimates["valve_dead_band"]
+    assert band.low <= dead_band <= band.high
+    assert band.high - band.low < 0.25
+    told = estimates.get("valve_command_rounding")
+    assert told is None or told.low <= width <= told.high
 
 
 def test_an_edge_in_the_dead_zone_is_not_idle(monkeypatch):
@@ -270,41 +308,32 @@ def test_an_edge_that_is_open_at_zero_has_a_table():
     commands, openings_of = table_of(result, "pa")
     assert commands[0] == 0.0
     volts = np.arange(0.5, 10.01, 0.5)
-    table = opening_curve.tabulated(commands, openings_of, volts)
-    # 1 %: the start is a step, which a cubic rounds
+    points = {f"{kind}_{k}": 0.0 for kind in ("command", "opening") for k in range(1, 11)}
+    for k, point in enumerate(zip(commands, openings_of, strict=True), 1):
+        points |= dict(zip((f"command_{k}", f"opening_{k}"), point, strict=True))
+    machine = opening_curve.pieces(SimpleNamespace(**points))
+    table = np.array([float(machine.opening(v)) for v in volts])
+    # 1 % from the lowest measured command on: below it the table rises from zero
     area = table * named(result)["valve_area"].value
-    assert area == pytest.approx(bench.AREA * (0.1 + 0.09 * volts), rel=0.01)
+    true = bench.AREA * (0.1 + 0.09 * volts)
+    assert area[volts >= commands[1]] == pytest.approx(true[volts >= commands[1]], rel=0.01)
 
 
-def test_a_band_widens_where_nothing_was_measured(monkeypatch):
-    """Up to 6 V only: at 10 V the band holds an opening that stays as it is, and one that goes on rising."""
+@pytest.mark.parametrize("share", [LINE, bench.power(1.3)])
+def test_the_area_at_a_command_that_was_not_reached_is_open(monkeypatch, share):
+    """Up to 6 V only: the value is extrapolated, a remark says so, and the interval has no upper end."""
     monkeypatch.setattr(bench, "STEPS", tuple(v for v in bench.UP if v <= 6.0))
-    for share in (bench.power(1.0), bench.power(1.3)):
-        edge = bench.edge("P-A", share, np.zeros(2), [9])
-        fit = valve.identify_openings([edge], bench.KNOWN).curves["P-A"]
-        low, high = fit.band_at(np.array([5.75, 10.0]))
-        true = bench.AREA * share(np.array([6.0, 10.0]))
-        assert low[1] < 1.05 * true[0]
-        assert high[1] > true[1]
-        assert high[0] - low[0] < 0.02 * true[0]
-
-
-@pytest.mark.parametrize(("dead_band", "rounding"), [(0.6, 0.4), (0.0, 1.0), (2.0, 0.001)])
-def test_a_line_opens_as_the_machine_does(dead_band, rounding):
-    """The fitted line is the opening of the machine's component, relative to full command."""
-    volts = np.linspace(0.0, 10.0, 101)
-    line = valve_fit.straight(volts - dead_band, rounding) / valve_fit.straight(10.0 - dead_band, rounding)
-    machine = [float(spool_valve.opening(v, dead_band, 10.0, rounding)) for v in volts]
-    np.testing.assert_allclose(line, machine, atol=1e-12)  # the same operations in another order
-
-
-def test_a_band_holds_its_share_of_whole_curves():
-    """95 of 100 independent random walks lie in it over their whole length; a pointwise band has fewer."""
-    walks = np.cumsum(np.random.default_rng(0).normal(size=(4000, 40)), axis=1)
-    low, high = opening_curve.simultaneous_band(walks[:2000])
-    inside = np.all((low <= walks[2000:]) & (walks[2000:] <= high), axis=1).mean()
-    # two standard deviations of 2000 curves, and of the band of as many: 1.4 %
-    assert inside == pytest.approx(0.95, abs=0.02)
+    result = found(share, 9)
+    area = named(result)["valve_area"]
+    assert area.high == np.inf
+    # they are written to files, where NumPy's numbers have another form
+    numbers = [x for e in (*result.estimates, *result.listed) for x in (e.value, e.sd, e.low, e.high)]
+    assert {type(x) for x in numbers} == {float}
+    assert area.low <= bench.AREA * share(np.array([6.0]))[0]
+    assert any("no flow was measured above 6 V" in remark for remark in result.remarks)
+    # where the last chord of 0.5 V leads in 4 V: its noise is eight times that of the areas, 0.02 % each
+    last, before = share(np.array([6.0, 5.5]))
+    assert area.value == pytest.approx(bench.AREA * (last + 8 * (last - before)), rel=0.01)
 
 
 # at either transducer; the other sign is the other transducer
@@ -338,21 +367,6 @@ def test_an_opening_that_falls_is_named(share):
 
     assert "falling opening" in faults(found(closing, 1))
     assert "falling opening" not in faults(found(share, 1))
-
-
-def test_a_rounding_that_no_line_has_is_left_out(monkeypatch):
-    """As where a sensor is in another unit: the other roundings give the estimates."""
-    solve, line = valve_fit.balance.solve, valve_fit.laws()["line"]
-
-    def failing(samples, *others):
-        if samples[0].law is line and samples[0].known[4] == valve_fit.SHARP:
-            raise Problem("no fit")
-        return solve(samples, *others)
-
-    whole = named(found(bench.power(1.0, 0.7)))["valve_area"]
-    monkeypatch.setattr(valve_fit.balance, "solve", failing)
-    part = named(found(bench.power(1.0, 0.7)))["valve_area"]
-    assert part.value == pytest.approx(whole.value, abs=whole.sd)  # the roundings are nearly equal in it
 
 
 def test_resistances_between_two_steps_are_those_of_the_opening(monkeypatch):

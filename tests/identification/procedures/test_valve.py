@@ -10,7 +10,7 @@ from kit import shards
 from kit.mistakes import problem
 
 from fmus.identification.procedures import valve
-from fmus.identification.procedures.valve_fit import LEAK_SD
+from fmus.identification.procedures.valve import LEAK_SD
 from fmus.parameters import Number
 
 ROUNDING = "boom_stick.valve_command_rounding"

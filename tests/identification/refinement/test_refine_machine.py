@@ -15,7 +15,7 @@ from fmus.identification.machine import FREE, nominal, parameter_names, signal_n
 from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.refine import RefinementResult, compiled, refine
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.work_cycle import WORK_CYCLE
+from fmus.operator_input.work_cycle import WORK_CYCLE
 from fmus.parameters import values
 from orchestrator.data.recording import Recording, Sensor
 

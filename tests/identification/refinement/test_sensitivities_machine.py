@@ -19,8 +19,8 @@ from fmus import swing
 from fmus.contract import quantities, symbolic
 from fmus.identification.refinement.compiled_model import CompiledModel, SegmentSolution
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.work_cycle import COMMANDS, Move, sample
 from fmus.monolith import breakpoints
+from fmus.operator_input.work_cycle import COMMANDS, Move, sample
 from fmus.parameters import values
 
 OUTPUTS = (

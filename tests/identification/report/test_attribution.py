@@ -13,7 +13,7 @@ from kit.properties import examples
 from fmus.identification.machine import COMMANDS
 from fmus.identification.report import attribution
 from fmus.identification.report.prediction import Excitation, compare, predict
-from fmus.machine.work_cycle import Move
+from fmus.operator_input.work_cycle import Move
 from orchestrator.data.recording import Recording
 
 STEP = 0.01  # s

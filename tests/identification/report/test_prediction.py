@@ -17,7 +17,7 @@ from fmus.identification.report import prediction
 from fmus.identification.report.attribution import candidate_effects
 from fmus.identification.report.prediction import Excitation, excitation, predict, simplify
 from fmus.machine.poses import NOMINAL, POSES
-from fmus.machine.work_cycle import Move
+from fmus.operator_input.work_cycle import Move
 from orchestrator.data.recording import Recording, Sensor
 
 POSE = {joint: getattr(POSES[NOMINAL], joint) for joint in ("swing", "boom", "stick")}

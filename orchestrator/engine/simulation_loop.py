@@ -25,11 +25,12 @@ from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, in_process, library
 from orchestrator.engine.coupling_inputs import CouplingInputs
-from orchestrator.engine.job import ENDS_EARLY, Job, RunEnd, guarded
+from orchestrator.engine.job import ENDS_EARLY, Job, guarded, open_slave
 from orchestrator.engine.linear_system import ErrorPropagation, LinearPrediction
 from orchestrator.engine.network import Network, initialise
 from orchestrator.engine.own_master import Components
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
+from orchestrator.engine.result import RunEnd
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.cosimulation import RunningFmu
@@ -47,6 +48,7 @@ def run_job(
     between: Callable[[float], bool] = lambda _: False,
     at_end: Callable[[RunEnd], None] = lambda _: None,
     allocate: Allocate = in_process,
+    cores: int | None = None,
 ) -> RunEnd:
     """Open all FMUs, run in this process, and close them in any case.
 
@@ -54,8 +56,10 @@ def run_job(
     between    called with the time [s] between blocks of steps; returns True to end the run
     at_end     called before the FMUs are closed
     allocate   see `Binding`
+    cores      for the components, at most; None: all
     """
     with simulation(job, sink, allocate) as loop:
+        loop.cores = cores or CORES
         began = time.perf_counter()
         problem, interrupted = None, False
         try:
@@ -123,7 +127,7 @@ def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:
 @contextmanager
 def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> Iterator[SimulationLoop]:
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
-    signals = job.record.signals
+    signals = job.signals
     selected = None if signals is None else [job.system.port(name) for name in signals]
     library()  # raises Problem if there is none, before any FMU is opened
     _check_instances(job.system)
@@ -133,7 +137,7 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
         stack.callback(binding.restore_environment)
         with archive_kept_open():
             for name, component in job.system.components.items():
-                slaves[name] = slave = job.execution.open(component)
+                slaves[name] = slave = job.options.get("open", open_slave)(component)
                 stack.callback(slave.close)
                 binding.restore_environment(slave)
                 if isinstance(slave, RunningFmu):
@@ -174,10 +178,11 @@ def _rollback_notes(job: Job) -> tuple[str, ...]:
 
 def bonds_of(job: Job, network: Network) -> list[Bond]:
     """The requested bonds; default: those from units whose two inputs influence their components."""
-    if job.record.bonds is None:
+    bonds = job.options.get("bonds")
+    if bonds is None:
         influences = network.is_influential
         return [b for b in find_bonds(job.system) if influences(b.effort) and influences(b.flow)]
-    return [bond_of(job.system, *pair) for pair in job.record.bonds]
+    return [bond_of(job.system, *pair) for pair in bonds]
 
 
 def _check_instances(system: System) -> None:
@@ -193,7 +198,7 @@ def _check_instances(system: System) -> None:
 
 TIMED_STEPS = 20  # number of steps whose times decide about threads
 MIN_SAVING = 2e-5  # [s] of wall time per step; with less, threads are not used: waking one takes about 5e-6 s
-CORES = os.cpu_count() or 1  # number of threads for the components of one run, at most
+CORES = os.cpu_count() or 1  # default number of threads for the components of one run, at most
 ADVANCE_TIME = 0.1  # [s] of wall time that one call of `advance` takes, at most
 
 
@@ -227,17 +232,19 @@ class SimulationLoop:
     state    `Simulation` of engine.h: time t [s], steps, passes, ...; a caller of `advance` may increase
              `total`
     errors   the estimate of errors during the run; None if there is none
+    cores    number of threads for the components, at most
     notes    remarks on its master
     """
 
     errors: ErrorPropagation | None = None
+    cores = CORES
 
     def __init__(self, job: Job, network: Network, sink: TraceSink, selected: Sequence[Port] | None) -> None:
         """selected: the recorded signals; None: all."""
         self.network, self.times = network, job.times
         self._binding, self.state = network.binding, network.binding.simulation
         master = job.coupling.method
-        estimate, plan = job.execution.error_estimate, master.planned(job.system, job.coupling)
+        estimate, plan = job.options.get("error_estimate", False), master.planned(job.system, job.coupling)
         self._plan = plan = plan.with_estimate(fast=estimate == "fast") if estimate else plan
         if master.step:
             network.binding.master = partial(Components(network).over, master)
@@ -265,7 +272,7 @@ class SimulationLoop:
         """Initialise all FMUs."""
         slaves, times = self.network.slaves, self.times
         driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
-        tolerances = {n: job.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
+        tolerances = {n: job.options.get("tolerance") or s.interface.tolerance for n, s in slaves.items()}
         stop = max(map(times.announced_stop, (1, *job.coupling.factors.values())))
         initialise(job.system, slaves, driven, (times.start, stop), tolerances)
         self._binding.logs = [slave.log for slave in slaves.values()]
@@ -295,7 +302,7 @@ class SimulationLoop:
         self._threads_undecided = False
         times = [c.struct.busy * self.state.tick / self.state.steps for c in self._components]
         if sum(times) - max(times) > MIN_SAVING and all(c.stepping for c in self._components):
-            self.state.threads = min(CORES, len(times))
+            self.state.threads = min(self.cores, len(times))
 
     def close(self) -> None:
         """End the threads and free saved states."""

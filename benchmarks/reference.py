@@ -1,6 +1,6 @@
 """Reference results: the work cycle of the machine, and one reference experiment for each FMU (FMI-LS-REF).
 
-    python -m fmus.machine.reference DATA_FOLDER
+    python -m benchmarks.reference DATA_FOLDER
 
 writes scenarios and trace of the work cycle, the program of the operator, and the experiments. Run it after
 every change of equations or parameter values.
@@ -39,7 +39,10 @@ from fmus.export.model_description import COMMUNICATION_STEP as STEP
 from fmus.export.model_description import data_file, reference_parameters
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import FAMILIES, FERIC
-from fmus.machine.work_cycle import (
+from fmus.monolith import join, simulate
+from fmus.operator_input import OPERATOR
+from fmus.operator_input.model import AXES
+from fmus.operator_input.work_cycle import (
     COMMANDS,
     PROGRAMS,
     WITH_STEMS,
@@ -47,12 +50,9 @@ from fmus.machine.work_cycle import (
     WORK_CYCLE_STOP,
     Stem,
     payload,
-    program_numbers,
     sample,
 )
-from fmus.monolith import join, simulate
-from fmus.operator_input.model import AXES, OPERATOR
-from fmus.parameters import Values, values, write
+from fmus.parameters import Values, values
 from fmus.supply import SUPPLY
 from fmus.valve_actuation import ACTUATION
 from orchestrator.base.files import write_columns, write_whole
@@ -278,7 +278,6 @@ def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 def main(folder: Path) -> None:
     """Write scenario and trace to `folder`; operator's program and experiments to the models' folders."""
-    write(OPERATOR.folder / "parameters.toml", program_numbers())
     time, commands = work_cycle()
     write_columns(
         folder / "scenarios" / "work_cycle.csv", ("time", *COMMANDS), np.column_stack([time, commands]), 10
@@ -292,5 +291,5 @@ def main(folder: Path) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2 or not Path(sys.argv[1]).is_dir():
-        sys.exit("python -m fmus.machine.reference: expected one argument, the folder data")
+        sys.exit("python -m benchmarks.reference: expected one argument, the folder data")
     main(Path(sys.argv[1]))

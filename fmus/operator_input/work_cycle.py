@@ -6,13 +6,14 @@ interpolation between the samples is exact.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import quantities
-from fmus.operator_input.model import AXES, OPERATOR, PAYLOADS, STROKES, Stroke
+from fmus.contract import Subsystem, quantities
+from fmus.operator_input.model import LEVERS, PAYLOADS, STROKES, Stroke, operator
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 
@@ -114,10 +115,13 @@ def payload(moves: Sequence[Move | Stem], time: NDArray[np.float64]) -> NDArray[
     return sum((m.sample(time) for m in moves if isinstance(m, Stem)), np.zeros(time.size))
 
 
-def program(moves: Sequence[Move | Stem]) -> dict[str, float]:
-    """The moves as parameters of the operator; all parameters of unused strokes and payloads are zero."""
-    values = dict.fromkeys(quantities(OPERATOR.parameters), 0.0)
-    for lever in AXES:
+UNSET = operator(LEVERS, Path(__file__).with_name("parameters.toml"))
+
+
+def program(moves: Sequence[Move | Stem], operator: Subsystem = UNSET) -> dict[str, float]:
+    """The moves as parameters of an operator; all parameters of unused strokes and payloads are zero."""
+    values = dict.fromkeys(quantities(operator.parameters), 0.0)
+    for lever in dict.fromkeys(move.axis for move in moves if isinstance(move, Move)):
         strokes = [move for move in moves if isinstance(move, Move) and move.axis == lever]
         if len(strokes) > len(STROKES):
             raise Problem(f"{lever} lever: {len(strokes)} strokes, expected at most {len(STROKES)}")
@@ -131,16 +135,14 @@ def program(moves: Sequence[Move | Stem]) -> dict[str, float]:
     return values
 
 
-def program_numbers() -> dict[str, dict[str, Number]]:
-    """Content of the operator's parameters.toml."""
-    units = {name: q.unit for name, q in quantities(OPERATOR.parameters).items()}
-    values = program(WORK_CYCLE)
-    tops = ("_command", "_mass")
-    used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith(tops) and value}
+def with_program(operator: Subsystem, moves: Sequence[Move | Stem], note: str) -> Subsystem:
+    """The operator with these moves as default."""
+    values, found = program(moves, operator), dict[str, Number]()
+    for n, q in quantities(operator.parameters).items():
+        stroke, kind = n.rpartition("_")[0], "payload" if n.startswith("payload") else "stroke"
+        used = values[f"{stroke}_mass" if kind == "payload" else f"{stroke}_command"]
+        found[n] = Number(values[n], q.unit, "assumed", note if used else f"{kind} not used")
+    return replace(operator, numbers={"parameters": found, "start": {}})
 
-    def note(name: str) -> str:
-        if name.rsplit("_", 1)[0] in used:
-            return "work cycle, fmus/machine/work_cycle.py"
-        return f"{'payload' if name.startswith('payload') else 'stroke'} not used"
 
-    return {"parameters": {n: Number(v, units[n], "assumed", note(n)) for n, v in values.items()}}
+OPERATOR = with_program(UNSET, WORK_CYCLE, "work cycle, fmus/operator_input/work_cycle.py")

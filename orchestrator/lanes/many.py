@@ -1,0 +1,223 @@
+"""Many runs, several at a time: `many` hands out tasks, `Runs` has the processes and the groups of lanes.
+
+`batch` and the studies go through both: on threads of this process, or on another executor, such as that of a
+Dask cluster.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from orchestrator.base.errors import LimitReached, Problem
+from orchestrator.base.files import Location, temporary_folder, write_whole, zip_bytes
+from orchestrator.base.interrupts import POLL_INTERVAL, DeferredInterrupts
+from orchestrator.data.table import Array
+from orchestrator.data.trace_writer import TraceInMemory
+from orchestrator.engine.c_library import library
+from orchestrator.engine.isolated import processes, run_isolated
+from orchestrator.engine.job import ENDS_EARLY, Job, Options, is_late
+from orchestrator.engine.result import BondEnergy, Interrupted, Result, RunFailed
+from orchestrator.lanes.compiled import LANES
+from orchestrator.lanes.group import EARLY, FAILED, INTERRUPTED, NOT_RELIABLE, Ended, Group, Lanes
+from orchestrator.ssp.system import Component, Port, System
+
+Task = TypeVar("Task")
+Outcome = TypeVar("Outcome")
+BY_USER = Ended(INTERRUPTED, "by the user")
+
+
+def many(
+    run: Callable[[Task], Outcome],
+    tasks: Iterable[Task],
+    keep: Callable[[list[Outcome]], object],
+    stop: Callable[[], object],
+    executor: Executor,
+    places: Callable[[], int],
+    failed: Callable[[Task, Exception], Outcome] | None = None,
+    interval: float = 0.0,
+) -> None:
+    """Run tasks on an executor; the first exception, or an interrupt, ends all.
+
+    keep       called with new outcomes, at intervals [s] and before an exception is raised
+    stop       ends the tasks that run, after an exception
+    places     so many tasks are there at once, which run or wait; called all the time; may raise an exception
+    failed     the outcome of a task that raised an exception, which it may raise again
+    interval   between two calls of `keep` [s]
+    """
+    waiting, running = deque(tasks), dict[Future[Outcome], Task]()
+    found, kept = list[Outcome](), -interval
+    with DeferredInterrupts() as interrupts, executor:
+        try:
+            while waiting or running:
+                for _ in range(min(places() - len(running), len(waiting))):
+                    task = waiting.popleft()
+                    running[executor.submit(run, task)] = task
+                ended = wait(running, POLL_INTERVAL, FIRST_COMPLETED).done
+                for future in sorted(ended, key=_has_failed):  # an outcome is kept before an exception
+                    task = running.pop(future)
+                    try:
+                        found.append(future.result())
+                    except Exception as error:
+                        if failed is None:
+                            raise
+                        found.append(failed(task, error))
+                if found and time.monotonic() - kept >= interval:
+                    new, found, kept = found, [], time.monotonic()
+                    keep(new)
+                interrupts.check()
+        except BaseException:
+            stop()
+            for future in running:
+                future.cancel()
+            raise
+        finally:
+            if found:
+                keep(found)
+
+
+def _has_failed(future: Future[Any]) -> bool:
+    return future.cancelled() or future.exception() is not None
+
+
+def in_threads(
+    run: Callable[[Task], Outcome],
+    tasks: Sequence[Task],
+    keep: Callable[[list[Outcome]], object],
+    stop: Callable[[], object],
+    workers: int,
+    interval: float = 0.0,
+) -> None:
+    """`many` in threads of this process, for each of which one more task is ready."""
+    count = max(1, min(workers, len(tasks)))
+    many(run, tasks, keep, stop, ThreadPoolExecutor(count), lambda: 2 * count, interval=interval)
+
+
+def archives_of(systems: Iterable[System]) -> dict[Location, bytes]:
+    """The FMUs of systems as bytes; those of an unpacked FMU, which is packed, do not depend on the time."""
+    sources = dict.fromkeys(c.source for s in systems for c in s.components.values() if c.source)
+    once: dict[bytes, bytes] = {}  # pickle sends an object only once
+    return {s: once.setdefault(content, content) for s in sources for content in (_archive(s),)}
+
+
+def _archive(source: Location) -> bytes:
+    if not source.is_folder:
+        return source.read()
+    return zip_bytes({name: source.member(name).read() for name in source.names()})
+
+
+class Runs:
+    """Runs in any number of threads: each in a process of its own, or several in the lanes of a core.
+
+    systems   with copies of their FMUs, which nobody changes meanwhile; archives: see `archives_of`
+    """
+
+    def __init__(self, systems: Sequence[System], archives: Mapping[Location, bytes] | None = None) -> None:
+        library()  # raises the Problem of all runs if there is no engine
+        self._pool, self._stopped = processes(), False
+        self._idle, self._busy = defaultdict[Lanes, list[Group]](list), list[Group]()
+        archives = archives_of(systems) if archives is None else archives
+        with ExitStack() as stack:
+            folder = stack.enter_context(temporary_folder("many-", "the FMUs"))
+            self._copies = {source: folder / f"{n:06}.fmu" for n, source in enumerate(archives)}
+            for source, copy in self._copies.items():
+                write_whole(copy, archives[source])
+            self.systems = [replace(s, components=self._copied(s)) for s in systems]
+            stack.callback(self._pool.close)
+            self._ends = stack.pop_all()
+
+    def _copied(self, system: System) -> dict[str, Component]:
+        components = system.components.items()
+        return {
+            n: replace(c, source=Location(self._copies[c.source])) if c.source else c for n, c in components
+        }
+
+    def stop(self) -> None:
+        """End all runs as soon as possible."""
+        self._stopped = True
+        for group in [*self._busy]:
+            group.stop()
+
+    def close(self) -> None:
+        """End all processes, and remove the FMUs; no run takes place any more."""
+        with DeferredInterrupts():
+            self._ends.close()
+
+    def alone(self, job: Job) -> tuple[Result | None, Ended | None]:
+        """The result of a run, None if it did not begin, and why it ended early or is not reliable."""
+        if is_late(job.options):
+            return None, Ended(FAILED, f"not begun within {job.options['time_limit']:g} s")
+        sink = TraceInMemory()
+        try:
+            result = job.result(run_isolated(job, sink, self._between, self._pool), sink)
+        except RunFailed as failed:
+            return failed.result, self._failed(failed, failed.__cause__)
+        except Problem as problem:
+            return None, self._failed(problem, problem)
+        except KeyboardInterrupt as interrupt:
+            return interrupt.result if isinstance(interrupt, Interrupted) else None, BY_USER
+        notes, unreliable = result.card.notes, result.card.unreliable
+        early = [note.removeprefix(ENDS_EARLY) for note in notes if note.startswith(ENDS_EARLY)]
+        if early:
+            return result, Ended(EARLY, " ".join(early[0].split()))
+        return result, Ended(NOT_RELIABLE, "; ".join(unreliable)) if unreliable else None
+
+    def _failed(self, problem: Problem, cause: BaseException | None) -> Ended:
+        """The end of a run by a problem, with the names of the original FMUs."""
+        reason = " ".join(str(problem).split())
+        for source, copy in self._copies.items():
+            reason = reason.replace(str(copy), str(source))
+        return Ended(FAILED, reason, cause.limit if isinstance(cause, LimitReached) else "")
+
+    def _between(self, _: float) -> bool:
+        if self._stopped:
+            raise KeyboardInterrupt
+        return False
+
+    def together(
+        self,
+        lanes: Lanes,
+        values: Mapping[Port, Array],
+        rows: Sequence[Array],
+        first: int,
+        count: int,
+        options: Options,
+    ) -> list[tuple[list[BondEnergy], Ended | None]]:
+        """A group of machines from `first` on: their energies, and why they ended early or are not reliable.
+
+        values, rows   of all machines, as of `Group.run`; count: their number
+        """
+        idle = self._idle[lanes]
+        group = idle.pop() if idle else Group(lanes)
+        self._busy.append(group)
+        if self._stopped:
+            group.stop()
+        within = options.get("time_limit", math.inf)
+        left = min(within, options["deadline"] - time.monotonic(), threading.TIMEOUT_MAX)
+        limit = threading.Timer(left, group.stop)
+        limit.start()
+        try:
+            ended = group.run(first, values, rows, count)
+        finally:
+            limit.cancel()
+            self._busy.remove(group)
+        machines = range(first, min(first + LANES, count))
+        if group.struct.stop:  # which is for good
+            late = Ended(FAILED, f"not done within {within:g} s")
+            why = BY_USER if self._stopped else late
+            for i in machines:
+                failed = i in ended and ended[i].status == FAILED
+                if not failed and any(np.isnan(row[i, -1]) for row in rows):
+                    ended[i] = why
+        else:
+            idle.append(group)
+        return [(group.energies(i - first), ended.get(i)) for i in machines]

@@ -1,0 +1,231 @@
+"""The runs of a study, in processes and in lanes as those of `batch`, and what is stored of them.
+
+A crash of an FMU ends only its own run.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
+from orchestrator.base.processes import machine_memory
+from orchestrator.data.table import Array
+from orchestrator.data.trace import Trace, inside
+from orchestrator.engine.job import Job
+from orchestrator.engine.result import BondEnergy, bonds_above
+from orchestrator.lanes.batch import machine_values, recorded_times
+from orchestrator.lanes.compiled import LANES
+from orchestrator.lanes.group import FAILED, INTERRUPTED, NOT_RELIABLE, OK, Ended, Lanes
+from orchestrator.lanes.many import Runs
+from orchestrator.studies.cases import Options, Sample, StudyCase, Unit, signal
+from orchestrator.studies.study import Output, Study
+
+NAN = float("nan")
+STOPPED = re.compile(r"(time_limit|memory_limit) = ([\d.e+-]+): ")  # begins the reason of a stopped run
+WRITTEN = 1e-8  # relative rounding of a limit in a reason, of 9 digits
+MEMORY_SHARE = 0.25  # of the machine's memory, for one run without a limit of its own
+STORE_TIME = 1.5  # [s] between two times at which outcomes are stored: short to lose by a kill
+
+
+def digest(data: bytes) -> str:
+    """SHA-256 digest."""
+    return sha256(data).hexdigest()
+
+
+# ---- what is run
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A study, its systems, and their FMUs, so that no file has to exist on the computer of a run."""
+
+    study: Study
+    cases: Mapping[Options, StudyCase]
+    archives: Mapping[Location, bytes]
+
+
+def limits_of(study: Study) -> Mapping[str, float]:
+    """The limits of a run of a study on this machine, by the keys of its file, [s] and [GB]."""
+    memory = MEMORY_SHARE * machine_memory() / 1e9 if study.memory_limit is None else study.memory_limit
+    return {"time_limit": study.time_limit, "memory_limit": memory}
+
+
+def limit_is_raised(reason: str, study: Study) -> bool:
+    """Did a limit stop the run that failed for this reason, and is that limit larger now?"""
+    stopped = STOPPED.match(reason)
+    return stopped is not None and limits_of(study)[stopped[1]] > float(stopped[2]) * (1 + WRITTEN)
+
+
+# ---- the runs
+
+
+class StudyRuns:
+    """The runs of a study on this computer: each in a process of its own, or several in lanes."""
+
+    def __init__(self, payload: Payload) -> None:
+        systems = [case.system for case in payload.cases.values()]
+        self._study, self._runs = payload.study, Runs(systems, payload.archives)
+        pairs = zip(payload.cases.items(), self._runs.systems, strict=True)
+        self._cases = {options: replace(case, system=system) for (options, case), system in pairs}
+        self._jobs, self._lanes = dict[Options, Job](), dict[Options, Lanes | None]()
+        self.stop, self.close = self._runs.stop, self._runs.close
+
+    def size(self, options: Options) -> int:
+        """How many samples with these options are run together: those of a group in lanes, or one."""
+        if options not in self._lanes:
+            self._lanes[options] = None
+            with suppress(Problem):
+                job = self._job(options)
+                self._lanes[options] = Lanes(job, [job.system.port(n) for n in job.signals or ()])
+        return LANES if self._lanes[options] else 1
+
+    def run(self, unit: Unit) -> list[RunOutcome]:
+        """Run samples with equal options, several in lanes. One that fails there is run again by itself."""
+        began = time.perf_counter()
+        found: dict[int, RunOutcome] = {}
+        if len(unit) > 1:
+            with suppress(Problem):  # a value is not allowed: its own run tells the reason
+                found = self._in_lanes(unit)
+        outcomes = [found.get(sample.run) or self._alone(sample) for sample in unit]
+        wall = (time.perf_counter() - began) / len(unit)
+        return [replace(outcome, wall=wall) for outcome in outcomes]
+
+    def _job(self, options: Options) -> Job:
+        """The job of a case, without the values of a sample."""
+        if options not in self._jobs:
+            study, case = self._study, self._cases[options]
+            record = list(dict.fromkeys(str(signal(case.system, o.signal)) for o in study.outputs))
+            chosen: dict[str, Any] = {n: getattr(study, n) for n in ("step", "stop", "record_step")}
+            job = Job.of(case.system, case.scenario, chosen | {"record": record, "tolerance": case.tolerance})
+            self._jobs[options] = replace(job, options={**job.options, **limits_of(study)})
+        return self._jobs[options]
+
+    def _alone(self, sample: Sample) -> RunOutcome:
+        """Run a sample; an error becomes its outcome."""
+        study, case = self._study, self._cases[sample.options]
+        try:
+            job = self._job(sample.options)
+            result, end = self._runs.alone(replace(job, system=job.system.with_start(sample.factors)))
+            if result is None or (end and end.status in (FAILED, INTERRUPTED)):
+                reason = end.reason if end else ""
+                limit = f"{end.limit} = {limits_of(study)[end.limit]:.9g}: " if end and end.limit else ""
+                return failed(study, sample.run, f"{limit}{reason}")
+            return complete(study, case, sample.run, result.trace, result.card.bonds, end)
+        except OSError:  # of this computer
+            raise
+        except Exception as error:  # a defect ends this run only
+            kind = "" if isinstance(error, Problem) else f"{type(error).__name__}: "
+            return failed(study, sample.run, f"{kind}{error}")
+
+    def _in_lanes(self, unit: Unit) -> dict[int, RunOutcome]:
+        """The outcomes of the samples that come to their end within the time limit of a run."""
+        study, options = self._study, unit[0].options
+        job, case, lanes = self._job(options), self._cases[options], self._lanes[options]
+        values, count = machine_values(job, {n: [float(s.factors[n]) for s in unit] for n in unit[0].factors})
+        assert lanes is not None
+        rows = [np.full((count, job.times.rows), np.nan) for _ in lanes.signals]
+        found: dict[int, RunOutcome] = {}
+        ends = self._runs.together(lanes, values, rows, 0, count, job.options)
+        for i, (sample, (bonds, end)) in enumerate(zip(unit, ends, strict=True)):
+            if not end or end.status == NOT_RELIABLE:
+                signals = {str(port): values[i] for port, values in zip(lanes.signals, rows, strict=True)}
+                trace = Trace(recorded_times(job.times), signals)
+                found[sample.run] = complete(study, case, sample.run, trace, bonds, end)
+        return found
+
+
+# ---- what is stored of a run
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """The stored results of a run.
+
+    status   ok, unreliable (the error of the coupling is too large), early (an FMU requested the end of the
+             run), or failed
+    energy_error   largest energy error of the coupling over the energy that its bond exchanged; NaN if the
+                   run failed
+    reason   why the status is not ok, in one line
+    outputs  shape (outputs,); NaN if the run failed or the window contains no point
+    bands    signals at `band_times`, shape (signals, times); None if the run failed or no signal is stored
+    start    time of the first point [s]
+    wall     wall time [s]; not part of the results
+    """
+
+    run: int
+    status: str
+    reason: str
+    outputs: Array
+    bands: Array | None = None
+    start: float = 0.0
+    wall: float = 0.0
+    energy_error: float = NAN
+
+
+def failed(study: Study, run: int, reason: str) -> RunOutcome:
+    """The outcome of a run that failed."""
+    return RunOutcome(run, FAILED, " ".join(reason.split()), np.full(len(study.outputs), NAN))
+
+
+def complete(
+    study: Study, case: StudyCase, run: int, trace: Trace, bonds: Sequence[BondEnergy], end: Ended | None
+) -> RunOutcome:
+    """The outcome of a run that came to its end; end: of one that an FMU ended, or that is not reliable."""
+
+    def values(name: str) -> Array:
+        outlet = case.system.outputs.get(name)
+        values = trace.signals[str(signal(case.system, name))]
+        return values if outlet is None else outlet.map.factor * values + outlet.map.offset
+
+    time, start = trace.time, float(trace.time[0])
+    outputs = np.array([measure(o, time, values(o.signal)) for o in study.outputs], np.float64)
+    # up to the end of the run, interpolated linearly between recorded points
+    times = band_times(study, start, int((time[-1] - time[0]) / study.band_step + 1e-6) + 1)
+    bands = [np.interp(times, time, values(name)) for name in study.bands]
+    status, reason = (end.status, end.reason) if end else (OK, "")
+    error = max((abs(b.relative) for b in bonds_above(bonds, 0.0)), default=0.0)
+    stored = np.stack(bands) if bands else None
+    return RunOutcome(run, status, reason, outputs, stored, start, energy_error=error)
+
+
+def band_times(study: Study, start: float, count: int) -> Array:
+    """Times [s] of the stored signals."""
+    return np.asarray(start + study.band_step * np.arange(count), np.float64)
+
+
+def measure(output: Output, time: Array, signal: Array) -> float:
+    """The value of an output; shapes (n,), time [s]. NaN if the window contains no point.
+
+    Mean, rms and integral use linear interpolation between the points (rms: between the squares). The time
+    of the maximum is the first of several.
+    """
+    start, stop = -np.inf if output.start is None else output.start, output.stop
+    window = inside(time, start, np.inf if stop is None else stop)
+    t, x = time[window], signal[window]
+    return MEASURES[output.measure](t, x) if len(t) else NAN
+
+
+def _mean(t: Array, x: Array) -> float:
+    span = float(t[-1] - t[0])
+    return float(np.trapezoid(x, t)) / span if span > 0 else float(x[0])
+
+
+MEASURES: Mapping[str, Callable[[Array, Array], float]] = {
+    "maximum": lambda _, x: float(np.max(x)),
+    "minimum": lambda _, x: float(np.min(x)),
+    "range": lambda _, x: float(np.ptp(x)),
+    "final": lambda _, x: float(x[-1]),
+    "mean": _mean,
+    "rms": lambda t, x: float(np.sqrt(_mean(t, np.square(x)))),
+    "integral": lambda t, x: float(np.trapezoid(x, t)),
+    "time_of_maximum": lambda t, x: float(t[np.argmax(x)]),
+}
