@@ -1,6 +1,5 @@
 """Probes of `harvester check`: each planted fault is found by its probe; valid FMUs have no findings."""
 
-import tomllib
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from kit import shards
+from kit.mistakes import entry
 
 from orchestrator.check.finding import Finding
 from orchestrator.check.probe_process import ProbeLimits, probe_limits, use_probe_limits
@@ -25,7 +25,7 @@ from orchestrator.worker.calls import share_activity
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 
 
-PLANTED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["planted"]
+PLANTED = entry(__file__, "planted")
 # quick: the first of each probe
 QUICK = {id(next(row for row in PLANTED if row[0] == probe)) for probe, _, _ in PLANTED}
 

@@ -17,11 +17,6 @@ from orchestrator.base import files
 from orchestrator.base.files import require
 
 pytestmark = pytest.mark.usefixtures("here")
-SWING, STICK = "swing.swing_command", "boom_stick.stick_command"
-PROGRAMS = [
-    ("work_cycle", [], ()),
-    ("boom_up", ["--parameters", "boom_up"], (SWING, f"{SWING}_rate", STICK, f"{STICK}_rate")),
-]
 
 
 def test_build_makes_the_machine(built):
@@ -35,8 +30,8 @@ def test_build_makes_the_machine(built):
     assert all((built / name).stat().st_size > 10_000 for name in names)
 
 
-@pytest.mark.parametrize(("program", "chosen", "others"), PROGRAMS)
-def test_a_program_moves_the_machine_like_the_scenario_of_the_same_moves(capsys, program, chosen, others):
+@table(__file__, "programs", "others, chosen, program")
+def test_a_program_moves_the_machine_like_the_scenario_of_the_same_moves(capsys, others, chosen, program):
     """That of the system itself, or one chosen by name; what the scenario replaces is told, and what not."""
     run = ["run", "--stop", "2", "--record-step", "0.02"]
     assert main([*run, *chosen, "--out", "own.csv"]) == 0

@@ -13,6 +13,7 @@ from pathlib import Path
 import fmpy
 import pytest
 from kit import shards
+from kit.mistakes import entry, table
 
 import orchestrator
 from fmus import package_files
@@ -70,25 +71,9 @@ def test_the_base_has_no_package_of_an_extra():
     assert not base & {package_of(module) for module in EVERY}
 
 
-# command -> extra, arguments, and the modules that it looks for; default: all of the extra
-COMMANDS = {
-    "build": ("build", [], ()),
-    "view": ("view", [], ()),
-    "sweep": ("sweep", ["study.toml"], ()),
-    "convergence": ("sweep", [], ("scipy",)),
-    "identify": ("identify", ["."], ()),
-    "linearize": ("control", [], ("scipy",)),
-    "parameters": ("model", [], ()),
-    "variants": ("model", [], ()),
-    "rig": ("model", ["--out", "x"], ()),
-    "track": ("model", [], ()),
-}
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_command_without_its_extra_says_what_to_install(name, tmp_path):
+@table(__file__, "commands", "extra, arguments, modules, name")
+def test_a_command_without_its_extra_says_what_to_install(tmp_path, extra, arguments, modules, name):
     """One line with the packages and the command, and the exit status of a mistake; nothing is written."""
-    extra, arguments, modules = COMMANDS[name]
     done = without(EVERY, COMMAND.format(arguments=[name, *arguments]), tmp_path)
     line = f'harvester: harvester {name} needs .*; install with: pip install "harvester-cosim\\[{extra}\\]"\n'
     assert re.fullmatch(line, done.stderr), done.stderr
@@ -129,26 +114,12 @@ def test_any_other_import_of_an_extra_is_one_line_too(tmp_path):
     assert (done.returncode, done.stderr) == (2, told)
 
 
-BASE = {
-    "run": ["run", "{system}", "--stop", "0.05"],
-    "validate": ["validate", "{system}", "--stop", "0.2"],
-    # the probes are imported all the same, and run in processes of their own
-    "check": ["check", "{fmu}", "--static"],
-    "signals": ["signals", "{system}"],
-    "plot": ["plot", "a.csv", "--out", "a.png"],
-    "accuracy": ["run", "{system}", "--stop", "0.05", "--accuracy", "1e-3"],
-    "modelica": ["modelica", "{system}"],
-    "compare": ["compare", "a.csv", "b.csv"],
-    "describe": ["describe", "a.csv"],
-}
-
-
 def test_a_command_of_the_base_needs_no_extra(fmu_dir, tmp_path):
     """It runs although no package of any extra can be imported."""
     for name in ("a", "b"):
         (tmp_path / f"{name}.csv").write_text("time,part.speed\n0,0\n1,1\n2,0\n", encoding="utf-8")
     names = {"system": fmu_dir / "harvester.ssp", "fmu": fmu_dir / "supply.fmu"}
-    commands = [[argument.format(**names) for argument in arguments] for arguments in BASE.values()]
+    commands = [[argument.format(**names) for argument in arguments] for arguments in entry(__file__, "base")]
     code = "from orchestrator.__main__ import main\n"
     code += f"for words in {commands!r}:\n    status = main(words)\n    assert status == 0, words"
     done = without(EVERY, code, tmp_path)

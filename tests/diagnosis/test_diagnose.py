@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 
 from orchestrator import read_trace
 from orchestrator.__main__ import main
@@ -144,16 +144,8 @@ def test_a_gyro_in_another_unit_is_named(fmu, columns, tmp_path, factor):
     assert f"log.csv: boom_speed: {factor:.3g} times as fast as boom_angle changes: " in line
 
 
-LACKING = {
-    "boom_speed": {},
-    "stick_head_pressure": {"stick_head_burst": -1, "boom_head_burst": 0},
-    "tank_pressure": {"boom_head_burst": -1, "boom_head_pressure_sensor": 0},
-    "oil_temperature": {},
-}
-
-
-@pytest.mark.parametrize("name", LACKING)
-def test_a_column_that_is_missing_is_named_and_the_rest_goes_on(fmu, columns, tmp_path, name):
+@table(__file__, "lacking", "states, name")
+def test_a_column_that_is_missing_is_named_and_the_rest_goes_on(fmu, columns, tmp_path, states, name):
     """One line; what needs it cannot be told, and what does not still can."""
     del columns[name]
     found = diagnose(fmu, written(tmp_path, columns))
@@ -161,7 +153,7 @@ def test_a_column_that_is_missing_is_named_and_the_rest_goes_on(fmu, columns, tm
     assert f"no column {name}" in line
     assert not found.broken
     state = {f.name: f.state[-1] for f in found.findings}
-    assert {n: state[n] for n in LACKING[name]} == LACKING[name]
+    assert {n: state[n] for n in states} == states
 
 
 def test_a_reading_that_is_constant_counts_as_missing(fmu, columns, tmp_path):

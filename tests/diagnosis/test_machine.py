@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from kit import shards
+from kit.mistakes import table
 
 from fmus.controller.harvester import ARM
 from fmus.diagnosis import findings
@@ -49,25 +50,7 @@ def test_a_healthy_machine_has_no_fault(faulty, work, swap):
 
 
 @shards.machine
-@pytest.mark.parametrize(
-    ("fault", "size", "named", "within"),
-    [
-        ("boom_head_leak", 50e-6, "boom_head_burst", 0.3),
-        ("stick_rod_leak", 50e-6, "stick_rod_burst", 0.3),
-        ("boom_rod_leak", 40e-6, "boom_rod_burst", 7.0),
-        ("stick_head_leak", 40e-6, "stick_head_burst", 7.0),
-        ("boom_head_pressure_lost", 1, "boom_head_pressure_sensor", 0.1),
-        ("tank_pressure_lost", 1, "tank_pressure_sensor", 0.1),
-        ("swing_angle_stuck", 1, "swing_angle_sensor", 7.0),
-        ("stick_driver_loss", 1, "stick_spool", 9.0),
-        ("boom_spool_stuck", 1, "boom_spool", 8.0),
-        ("boom_seal_leakage", 5e-12, "boom_seal_leakage", 25.0),
-        ("stick_head_leak", 5e-7, "stick_head_leak", 30.0),
-        ("boom_driver_loss", 0.4, "boom_gain_up", 25.0),
-        ("stick_hysteresis_added", 0.15, "stick_valve_opening", 25.0),
-        ("stick_head_pressure_bias", 2e6, "weighing", 15.0),
-    ],
-)
+@table(__file__, "faults", "fault, size, named, within")
 def test_a_fault_is_named(faulty, work, fault, size, named, within):
     """Within the time that its function needs to move, and nothing else before it.
 

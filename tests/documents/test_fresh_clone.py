@@ -8,45 +8,14 @@ from time import perf_counter
 
 import pytest
 from kit import shards
+from kit.mistakes import entry
 from kit.tutorial import Page
 
 # s, ten times what they take on two idle cores; these only bound a failure
 SLOW = pytest.mark.timeout(6000)
 ROOT = Path(__file__).parents[2]
 EXTRAS = "model,build,view,sweep,identify,control"  # of README's commands
-ONE, FAST = "tests/documents/test_package.py", "tests/cli/test_extras.py"
-# installation -> target -> variables of make with which it does little of everything. Targets with the same
-# installation follow each other in one clone, so none profits from what another installs
-TRIED = {
-    "all extras": {
-        "bench": ["ARGS=--repeats 1"],
-        "bench-sweep": ["ARGS=--runs 4 --seconds 1"],
-        "coverage": ["ARGS=--seeds 1 --only openings"],
-    },
-    "tests": {
-        "test": [f"PYTEST=.venv/bin/python -m pytest {ONE}"],
-        "test-fresh": ["PYTEST=.venv/bin/python -m pytest --collect-only"],
-        "test-search": ["PYTEST=.venv/bin/python -m pytest --collect-only"],
-        "lint": [],
-        "bench-live": ["ARGS=--seconds 1"],
-        "matrix": ["ARGS=--tool harvester"],
-    },
-    "other tools": {"bench-peers": ["ARGS=--repeats 1"]},
-    "release": {"extras": [], "test-lowest": [f"FAST={FAST}"], "test-newest": [f"FAST={FAST}"]},
-}
-# target -> where it is run, or why not
-ELSEWHERE = {
-    "demo": "test_the_commands_of_readme_after_make_demo",
-    "docs": "test_make_docs_needs_nothing_else",
-    "release": "test_the_wheel_alone",
-    "test-long": "all shards",
-    "bench-sensitivities": "20 minutes without a smaller form; its packages are those of bench",
-    "mutants": "two hours; tests/documents/test_package.py imports it",
-    "pages": "an hour; the shard documents runs what it calls",
-    "constraints": "changes the versions that everything else is tried with",
-    "audit": "asks a database on the internet",
-    "clean": "the fixture `clone` begins without what it removes",
-}
+TRIED, ELSEWHERE = entry(__file__, "tried"), entry(__file__, "elsewhere")
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ from hatchling.metadata.core import ProjectMetadata
 from hatchling.metadata.spec import get_core_metadata_constructors
 from hatchling.plugin.manager import PluginManager
 from kit import shards
+from kit.mistakes import entry
 from lxml import html
 from markdown_it import MarkdownIt
 from packaging.requirements import Requirement
@@ -32,14 +33,7 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 VERSIONS = {"tested": ["-c", "constraints.txt"], "newest": ["--prerelease", "if-necessary"]}
-# platform of uv: system and processor as Python names them
-PLATFORMS = {
-    "x86_64-manylinux_2_28": ("Linux", "x86_64"),
-    "aarch64-manylinux_2_28": ("Linux", "aarch64"),
-    "x86_64-pc-windows-msvc": ("Windows", "AMD64"),
-    "aarch64-apple-darwin": ("Darwin", "arm64"),
-    "x86_64-apple-darwin": ("Darwin", "x86_64"),
-}
+PLATFORMS = {name: tuple(pair) for name, pair in entry(__file__, "platforms").items()}
 
 
 def text(name: str) -> str:

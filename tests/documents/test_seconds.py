@@ -4,22 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from kit.shares import too_slow
-
 TESTS = Path(__file__).parents[1]
-# worker-seconds of `make test` at commit 664ecd85: of the slowest files, and of all 391
-SLOWEST = {"whole_machine/test_units.py": 306.0, "orchestrator/test_any_fmus.py": 81.0}
-OTHERS, ALL = 389, 1880.0
-
-
-def test_the_file_that_took_a_sixth_would_have_been_stopped():
-    """Fifteen times the mean file, also on a computer of half the speed; a file just below that passes."""
-    rest = (ALL - sum(SLOWEST.values())) / OTHERS
-    for speed in (1.0, 0.5):
-        files = {n: s / speed for n, s in (SLOWEST | {f"{k}.py": rest for k in range(OTHERS)}).items()}
-        found = list(too_slow(files | {"70.py": 70.0 / speed}).values())
-        assert [line.partition(":")[0] for line in found] == list(SLOWEST)
-        assert f" {306 / speed:.0f} s, expected at most " in found[0]
 
 
 def test_a_run_with_such_a_file_fails_with_its_name(tmp_path):

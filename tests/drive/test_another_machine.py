@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.driven_page import Opened, hold
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 from kit.toy import toy
 
 from fmus import parameters
@@ -112,24 +112,9 @@ def test_drawn(opened: Opened) -> None:
     assert opened.complaints == []
 
 
-MISTAKES = {
-    "scene: joints.arm: expected one of ground, mast, got 'mat'; did you mean mast": (
-        'parent = "mast"',
-        'parent = "mat"',
-    ),
-    "scene: shapes 1: expected one of ground, mast, arm": ('body = "ground"', 'body = "floor"'),
-    "half_arm: expected a number or a sum of products": ('"0.5*arm_length"', '"arm_length/2"'),
-    "axis: expected one of x, y, z, -x, -y, -z": ('axis = "-y"', 'axis = "up"'),
-    "modes.hand: unknown function 'lift'; there are turn, raise": ("raise = { lift", "lift = { lift"),
-    "task: tip: expected three signals": ('"end_z"]\nvel', "]\nvel"),
-    "scene: box: size: expected 3 lengths, got 2": ("[2, 1.5, 0.5]", "[2, 1.5]"),
-}
-
-
-@pytest.mark.parametrize("message", MISTAKES)
-def test_mistakes(message: str) -> None:
+@table(__file__, "mistakes", "old, new, message")
+def test_mistakes(old: str, new: str, message: str) -> None:
     """A name that does not exist, a formula that is none: one line with what was expected."""
-    old, new = MISTAKES[message]
     text = VIEW.read_text(encoding="utf-8")
     assert old in text
     wrong = text.replace(old, new, 1).encode()

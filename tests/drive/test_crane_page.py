@@ -13,7 +13,7 @@ import pytest
 from kit import shards
 from kit.driven_page import PAD
 from kit.equations import Part
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 from kit.wait import LONG, until
 from view.standin import Server, serving
 
@@ -266,18 +266,8 @@ def test_numbers_that_are_none_are_a_problem(key: str, value: Any, told: str, tm
     assert told in problem(lambda: points(box(LOW, HIGH, {key: value} | shown), tmp_path))
 
 
-SHAPES = {  # of a link -> what is wrong with it
-    "3": 'expected a file, such as "boom.glb", got 3',
-    '"text.glb"': "text.glb: expected the triangles of a binary glTF 2.0 file (.glb), which begins"
-    " with b'glTF'",
-    '"none.glb"': "none.glb: no such file",
-    '"large.glb"': "large.glb: expected at most 5 MB, got 6 MB",
-    '"packed.glb"': "(.glb) without extensions, got KHR_draco_mesh_compression",
-}
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_mistakes(shape: str, tmp_path: Path) -> None:
+@table(__file__, "shapes", "shape, told")
+def test_mistakes(shape: str, told: str, tmp_path: Path) -> None:
     """File, table and key, what was expected and what was found."""
     (tmp_path / "text.glb").write_text("a mesh", encoding="utf-8")
     (tmp_path / "large.glb").write_bytes(bytes(6_000_000))
@@ -287,4 +277,4 @@ def test_mistakes(shape: str, tmp_path: Path) -> None:
     (tmp_path / "crane.toml").write_text(text, encoding="utf-8")
     message = problem(lambda: read(tmp_path / "crane.toml"))
     assert message.startswith(f"{tmp_path / 'crane.toml'}: [boom] shape: ")
-    assert SHAPES[shape] in message
+    assert told in message

@@ -6,7 +6,6 @@ import shutil
 import struct
 import tempfile
 import time
-import tomllib
 import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext
@@ -16,10 +15,10 @@ from typing import Any
 import pytest
 from check.good import DESCRIPTION, XML_2, Archive
 from files.damage import ENTITIES
-from files.test_damaged_files import INNER, LONGEST, MOST, START, good_system, packed, peak
+from files.test_damaged_files import INNER, LONGEST, MAPPING, MOST, START, good_system, packed, peak
 from kit import shards
 from kit.any_fmu.models import Workshop
-from kit.mistakes import problem, refused, table
+from kit.mistakes import entry, problem, refused, table
 from lxml import etree
 
 from orchestrator import load, run
@@ -143,7 +142,9 @@ def test_an_archive_is_refused(
     change(path)
     before = peak()
     assert str(path) in problem(Location(path).unpacked().__enter__, message)
-    assert rule in {f.rule for f in check(path, run=False).findings if f.severity == "error"}
+    report = check(path, run=False)
+    assert rule in {f.rule for f in report.findings if f.severity == "error"}
+    assert change is not wrong_sum or "binaries/linux64/lag.so" in report.text()
     assert not list(temporary.iterdir())
     assert peak() - before < MOST / 10  # less than the bomb
 
@@ -363,7 +364,7 @@ DESCRIPTIONS = [
     ("<LogCategories>", "<a>" * 150 + "</a>" * 150 + "<LogCategories>", "at most 100 levels"),
     ("<LogCategories>", "<a>" * 90_000, "cannot be read as XML: Excessive depth"),
     ("<LogCategories>", "<LogCategories>" + "<a/>" * MAX_ITEMS, "a limit of this tool"),
-    *tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["descriptions"],
+    *entry(__file__, "descriptions"),
 ]
 
 
@@ -446,6 +447,13 @@ def test_a_system_is_refused(old: str, new: str, message: str, gain: Path, tmp_p
     shutil.copy(gain, tmp_path / "gain.fmu")
     (tmp_path / "start.ssv").write_text(START)
     problem(lambda: load(system(tmp_path / "x.ssp", gain, (old, new))), message)
+
+
+def test_a_mapping_with_another_attribute_is_told(gain: Path, tmp_path: Path) -> None:
+    """As in a file of OMSimulator's tests: line, element, expected and got."""
+    mapping = MAPPING.replace(" target=", " destination=", 1).encode()
+    told = r"line \d+: MappingEntry: expected an attribute target, got source, destination$"
+    problem(lambda: load(system(tmp_path / "x.ssp", gain, more={"resources/names.ssm": mapping})), told)
 
 
 def test_an_unpacked_system_may_refer_to_files_beside_it(gain: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kit.mistakes import problem
+from kit.mistakes import entry, problem
 
 from orchestrator.base.files import put, write_columns, write_rows, write_whole
 from orchestrator.engine.result import read_metadata
@@ -24,20 +24,6 @@ WRITERS = [
     partial(write_rows, rows=[["a"], [1]]),
     partial(write_columns, names=["a"], rows=np.ones((2, 1)), digits=6),
 ]
-# file -> why it writes under a name of its own: rows of a run, folders of a worker, temporary folders
-OWN = {
-    "orchestrator/base/files.py": "write_whole itself, and members of archives in temporary folders",
-    "orchestrator/base/compiler.py": "temporary folders, whose files get their names when they are complete",
-    "orchestrator/data/trace_writer.py": "partial traces, which grow during a run",
-    "orchestrator/engine/isolated.py": "the folder of a worker",
-    "orchestrator/modelica/modelica_package.py": "a temporary folder, named when it is complete",
-    "orchestrator/realtime/deadlines.py": "a setting of the system",
-    "orchestrator/studies/store.py": "a log to which lines are added; it is not part of the results",
-    "orchestrator/worker/calls.py": "the folder of a worker",
-    "orchestrator/worker/process.py": "the folder of a worker",
-    "fmus/export/python/build.py": "a temporary folder",
-    "fmus/package_files.py": "a temporary folder, which gets its name when it is complete",
-}
 WRITES = r"""(?<!html_page)\.write_text\(|\.write_bytes\(|open\(["'][wax+]|savefig\(f?["']|\.to_csv\([^)f]"""
 
 
@@ -76,7 +62,7 @@ def test_no_other_code_writes_files_under_their_final_names():
     """A new place must use `write_whole` or `put`, or be listed with its reason."""
     files = [p for room in ("fmus", "orchestrator") for p in sorted((ROOT / room).rglob("*.py"))]
     found = {p.relative_to(ROOT).as_posix() for p in files if re.search(WRITES, p.read_text("utf-8"))}
-    assert found == OWN.keys()
+    assert found == entry(__file__, "own").keys()
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, '{"sha256": ' + "[" * 50_000])

@@ -155,13 +155,7 @@ def test_a_failed_procedure_does_not_stop_the_others(recordings, here, capsys):
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize(
-    ("unit", "told"),
-    [
-        ("mV", "expected a full command of about 10 V, got 0.01 V: is its unit right?"),
-        ("kV", "warning: mine/valve_pa.csv: command = 10 kV, usually about 0.01 kV; did you mean 10 V?"),
-    ],
-)
+@table(__file__, "commands", "unit, told")
 def test_a_command_in_another_unit_is_no_valve(recordings, here, capsys, unit, told):
     """Volts taken as mV, and mV as V: no area from it, exit status 1; the other benches are identified."""
     here(recordings, "valve_pa", "motor")

@@ -11,9 +11,14 @@ from orchestrator import Problem
 from orchestrator.__main__ import main
 
 
+def entry(file: str, name: str) -> Any:
+    """The entry `name` of the TOML file beside a test; `file` is its __file__."""
+    return tomllib.loads(Path(file).with_suffix(".toml").read_text(encoding="utf-8"))[name]
+
+
 def table(file: str, name: str, columns: str) -> Any:
     """Parametrizes a test with the rows `name` of the TOML file beside its own; `file` is its __file__."""
-    rows = tomllib.loads(Path(file).with_suffix(".toml").read_text(encoding="utf-8"))[name]
+    rows = entry(file, name)
     return pytest.mark.parametrize(columns, rows, ids=[str(row[-1])[:60] for row in rows])
 
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 
 from orchestrator import reference
 from orchestrator.base.errors import Problem
@@ -86,14 +86,7 @@ def test_a_loop_through_components_with_states(fmu):
         assert plant.x.tolist() == [2.0, 0.0, 3.0]
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "u"),
-    [
-        # a slope of 0.75 in place of 0 leaves 75 % of the error in an iteration
-        ((0.0, 0.0), (0.0, 1.0), 0.5),
-        ((4.0, 0.0), (1.625, 0.59375), 2.001),  # near to the solution: 8.75 in place of 4 leaves 95 %
-    ],
-)
+@table(__file__, "slopes", "before, after, u")
 def test_the_slope_of_a_loop_is_renewed_where_it_has_changed(fmu, before, after, u):
     """u = c - y and y = a u + b u^3, first with a = 1, then with a and b before and after a change."""
     c = u + after[0] * u + after[1] * u**3

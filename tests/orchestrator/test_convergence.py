@@ -28,13 +28,7 @@ from orchestrator.studies.convergence.runs import (
 )
 
 SSD = Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8")  # the oscillator
-META = """[reference]
-title = "exact"
-[signals."a.x"]
-unit = "m"
-[signals."b.x"]
-unit = "m"
-"""
+META = Path(__file__).with_name("test_convergence_exact.toml").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

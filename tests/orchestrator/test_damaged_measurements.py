@@ -13,6 +13,7 @@ import pytest
 import scipy.io
 from kit import shards
 from kit.mistakes import problem
+from kit.mistakes import table as table_of
 
 from fmus import parameters
 from fmus.identification.recordings.describe import describe
@@ -343,22 +344,7 @@ def test_links_inside_a_mat_file_are_no_obstacle(tmp_path):
     problem(lambda: read_columns(tmp_path / "a.mat", soft), told)
 
 
-END, NEXT = "expected its end, got none in the file", "expected its end, got none before the next row"
-QUOTES = [  # (text, line and reason of the refusal, or the column y): a row is never part of a cell
-    ('x,note,y\n0,"a,0\n1,b,1\n2,c",2\n3,d,3\n', f"line 2: a quoted cell: {NEXT}"),
-    ('x,y,note\n0,0,"\n1,1,b\n2,2,"\n3,3,d\n', f"line 2: a quoted cell: {NEXT}"),
-    ('x,y,note\n0,0,a\n1,1,"b\n2,2,c\n', f"line 3: a quoted cell: {END}"),
-    ('x,y,note\n0,0,a\n1,1,"b\n', f"line 3: a quoted cell: {END}"),
-    ('y\n"0\n1\n2"\n3\n', f"line 2: a quoted cell: {NEXT}"),
-    ('x,y,note\n0,0,"a ""b"" c"\n1,1,"d,e"\n2,2,5" hose\n', [0.0, 1.0, 2.0]),
-    ('x,note,y\n0,"two\nlines",0\n\n1,"",1\n"2",b,"2"\n', [0.0, 1.0, 2.0]),
-    ('x;note;y\n0;"a;b";"0.5"\n1;c;\n', [0.5, np.nan]),
-    ('a, y \n1,2\n 3 , "4" \n', [2.0, 4.0]),  # spaces around
-    ('x,note,y\r\n0,"two\r\nlines",0\r\n1,"",1\r\n', [0.0, 1.0]),
-]
-
-
-@pytest.mark.parametrize(("text", "expected"), QUOTES)
+@table_of(__file__, "quotes", "text, expected")
 def test_quotes_follow_rfc_4180_and_never_join_rows(tmp_path, text, expected):
     """A quoted cell may have delimiters, doubled quotes and line breaks, but not whole rows."""
     path, form = tmp_path / "a.csv", TextFormat(delimiter=";" if ";" in text else None)

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from kit.mistakes import refused
+from kit.mistakes import entry, refused
 
 from orchestrator import Trace, run
 from orchestrator.__main__ import main
@@ -12,23 +12,7 @@ from orchestrator.data.trace_writer import write_trace
 from orchestrator.results.energy import draw, energy, table
 
 TIME = np.linspace(0.0, 2.0, 21)
-# two axes, of which one begins like the other, and two supplies; powers [W] that rise from 0 to twice these
-POWERS = {
-    "crane.lift_hydraulic_power": 50e3,
-    "crane.lift_mechanical_power": 10e3,
-    "crane.lift_meter_in_heat": 25e3,
-    "crane.lift_hose_heat": 10e3,
-    "crane.lift_2_hydraulic_power": 30e3,
-    "crane.lift_2_mechanical_power": -5e3,
-    "crane.lift_2_meter_in_heat": 35e3,
-    "crane.convected_power": 1e3,
-    "pump.engine_power": 100e3,
-    "pump.hydraulic_power": 80e3,
-    "pump.leakage_heat": 15e3,
-    "saw_pump.engine_power": 10e3,
-    "saw_pump.pump_friction_heat": 4e3,
-    "arm.joint_friction_heat": 7e3,  # behind the load
-}
+POWERS = entry(__file__, "powers")
 # at the end [J]
 ENERGIES = {"crane.stored_energy": 12e3, "pump.stored_energy": 10e3, "arm.stored_energy": 5e3}
 

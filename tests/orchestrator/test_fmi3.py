@@ -27,12 +27,6 @@ def refusal(file, set=None, scenario=None, **more):
     return problem(lambda: run(str(file), scenario, step=0.1, stop=0.5, set=set or {}, isolate=False, **more))
 
 
-@pytest.mark.parametrize("model", ["mass_a", "fails", "types", "wide"])
-def test_the_test_fmus_are_valid(fmus3, model):
-    """Schema, variables and model structure as FMPy checks them."""
-    fmpy.read_model_description(str(fmus3[model]), validate=True, validate_model_structure=True)
-
-
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_both_versions_give_the_same_numbers_also_mixed(fmus, fmus3, master):
     """The same equations behind both: bit for bit, whoever sends and whoever receives."""
@@ -163,13 +157,6 @@ def test_whoever_names_an_array_is_told(fmus3, name):
     for message in (*runs, wired):
         assert f"{port}: expected a scalar number or text, got a" in message
         assert message.endswith("not supported")
-
-
-@table(__file__, "clocks", "more")
-def test_clocks_are_told(fmus3, more):
-    """Such FMUs must be run with event mode."""
-    message = problem(lambda: load(fmus3.make("gain", "clocked", more=more)))
-    assert "clocked.fmu: tick is a clock: expected an FMU without clocks, they are not supported" in message
 
 
 def test_an_fmu_of_arrays_only_is_told(tmp_path):

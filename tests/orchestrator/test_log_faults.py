@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit.mistakes import table
 
 from fmus.identification.recordings.reading import doubtful
 from orchestrator.base.errors import Problem
@@ -206,13 +207,7 @@ def test_an_angle_of_an_experiment_is_unwrapped_with_a_line(tmp_path, capsys, un
         np.testing.assert_allclose(made["a"][2:], expected[:-2], atol=1e-9)  # 18 digits of the file
 
 
-@pytest.mark.parametrize(
-    ("delay", "error", "told"),
-    [
-        *((0.04, 0.0, "0.04 s later"), (0.04, 0.1, "0.04 s later"), (-0.025, 0.0, "0.025 s earlier")),
-        *((0.0, 0.05, ""), (0.04, 0.2, ""), (0.004, 0.0, "")),
-    ],
-)
+@table(__file__, "delays", "delay, error, told")
 def test_a_reference_with_late_commands_names_the_delay(delay, error, told):
     """The played command is left out; nothing is said of a short delay, or where other errors are large."""
 

@@ -260,15 +260,3 @@ def test_linear_equations(n):
     odd = (np.where(first, x, matrix) for x in (np.nan, np.inf))
     for singular in (np.full((n, n), float(n > 1)), *odd):
         assert not library().loop_factorise(address(singular), address(rows), n)
-
-
-def test_directional_derivatives(each, opened):
-    """y = w + factor u + bend u^2 along a direction of u, w and factor."""
-    slave = opened(Kind(each, True).make("bent"))
-    assert slave.interface.directional_derivatives
-    slave.setup(0.0, 1.0, None)
-    slave.enter()
-    slave.writer(["u", "bend", "factor"], np.array([3.0, 0.5, 5.0]))()
-    seed, into = np.array([1.0, 10.0, 100.0]), np.zeros(1)
-    slave.directional_derivative(["y"], ["u", "w", "factor"], seed, into)()
-    assert into[0] == (5.0 + 2 * 0.5 * 3.0) + 10.0 + 3.0 * 100.0

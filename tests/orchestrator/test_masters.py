@@ -5,7 +5,6 @@ import pytest
 from kit.any_fmu.models import oscillator_of
 from kit.any_fmu.outcome import MASTERS
 from kit.mistakes import problem, table
-from scipy.linalg import expm
 
 from orchestrator import Master, Problem, RunFailed, Trace, assemble, batch, run
 from orchestrator.base.files import Location
@@ -72,20 +71,6 @@ def test_a_factor_at_a_connection_only_scales(bounce, master):
     one, two = moved(1.0), moved(2.0)
     np.testing.assert_array_equal(two["mass.v"], one["mass.v"])
     np.testing.assert_array_equal(two["spring.stretch"], 2 * one["spring.stretch"])
-
-
-def test_jacobi_is_what_it_should_be(oscillator):
-    """The result equals that of the scheme with the exact solution of each mass over a step."""
-    first = expm(np.array([[0, 1, 0], [-110, 0, 100], [0, 0, 0]]) * 0.01)  # of x, v and the held position
-    second = expm(np.array([[0, 1, 0], [-1000, 0, -1], [0, 0, 0]]) * 0.01)  # of x, v and the held force
-    a, b, found = np.array([0.0, 100.0]), np.array([0.0, -100.0]), []
-    for _ in range(201):
-        found.append((a[0], b[0]))
-        position, force = b[0], 100 * (b[0] - a[0])
-        a, b = (first @ [*a, position])[:2], (second @ [*b, force])[:2]
-    trace = run(oscillator, master="jacobi", step=0.01, stop=2.0).trace
-    # the FMUs' Runge-Kutta steps are 0.008 rad long: an error of 0.008^4 / 120 per rad over 66 rad
-    np.testing.assert_allclose(np.stack([trace["a.x"], trace["b.x"]], axis=1), found, rtol=0, atol=1e-6)
 
 
 def test_an_output_with_feed_through_is_read_after_the_positions_and_fits_them(oscillator):
@@ -310,18 +295,7 @@ def test_send_takes_all_types(each):
     assert all(len({*values}) > 1 for values in zip(*sent, strict=True))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"order": 1}, "order: expected a master with a plan, got mine, which takes the steps itself"),
-        ({"adaptive": 1e-3}, "adaptive: expected a master with a plan"),
-        ({"factors": {"a": 2}}, "factors: expected a master with a plan"),
-        *(
-            ({name: 5.0}, f"{name}: expected a run in .*, got master mine, which needs the calling process")
-            for name in ("time_limit", "memory_limit")
-        ),
-    ],
-)
+@table(__file__, "functions", "options, message")
 def test_what_a_function_cannot_do_is_refused(oscillators, options, message):
     """In one line that names the option."""
     mine = Master("mine", step=stepping)

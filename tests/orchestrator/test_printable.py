@@ -3,6 +3,7 @@
 import io
 import logging
 import sys
+from pathlib import Path
 
 import pytest
 from kit.any_fmu.description import packed
@@ -15,18 +16,7 @@ from orchestrator.fmi.messages import WARNING, Log
 # ESC, BEL, CR, backspace, DEL, C1, writing direction, line separator
 RAW = "a\x1b[2J\x1b]0;title\x07\rb\bc\x7f\x9b31m\u202ed\u2028e"
 ESCAPED = r"a\x1b[2J\x1b]0;title\x07\rb\x08c\x7f\x9b31m\u202ed\u2028e"
-
-DESCRIPTION = """
-<fmiModelDescription fmiVersion="2.0" modelName="a\x9b31m" guid="g" generationTool="\u202etool">
-  <CoSimulation modelIdentifier="odd"/>
-  <ModelVariables>
-    <ScalarVariable name="y\x9b\u202e" valueReference="1" causality="output" description="d\x85\x9b">
-      <Real unit="\u202em"/>
-    </ScalarVariable>
-  </ModelVariables>
-  <ModelStructure><Outputs><Unknown index="1"/></Outputs></ModelStructure>
-</fmiModelDescription>
-""".strip()
+DESCRIPTION = Path(__file__).with_suffix(".xml").read_text("utf-8")
 
 
 def test_standard_output_has_no_control_characters():

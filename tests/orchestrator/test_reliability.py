@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.mistakes import table
 
 from orchestrator import Trace, batch, compare, run
 from orchestrator.__main__ import main
@@ -98,14 +99,7 @@ def test_a_run_says_that_it_is_not_reliable(rough, oscillator):
     assert "not reliable" not in repr(fine)
 
 
-@pytest.mark.parametrize(
-    ("able", "chosen", "advice"),
-    [
-        (True, {}, "let steps be divided, --guard 0.005, or take shorter ones"),
-        (True, {"guard": 10.0}, "take shorter steps"),
-        (False, {}, "take shorter steps"),
-    ],
-)
+@table(__file__, "advice", "able, chosen, advice")
 def test_the_advice_is_what_helps(oscillator, able, chosen, advice):
     """A guard, where FMUs can go back and none is on; else shorter steps."""
     system = suggesting(oscillator, None, rollback=able)

@@ -1,5 +1,7 @@
 """Text files as loggers and Excel write them: the same numbers as a scenario, a recording or a trace."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from kit.any_fmu.models import Workshop
@@ -9,6 +11,10 @@ from orchestrator import Trace, assemble, read_recording, read_trace, run, write
 from orchestrator.base import files
 from orchestrator.data.table import read_columns, time_axis
 from orchestrator.engine.scenario import drive
+
+HERE = Path(__file__)
+DESCRIBED = HERE.with_name("test_text_files_described.toml").read_text(encoding="utf-8")
+HEADER = HERE.with_suffix(".lvm").read_text(encoding="utf-8")  # with places for what differs
 
 
 @pytest.fixture(autouse=True)
@@ -57,25 +63,6 @@ def test_what_is_not_clear_is_refused_in_one_line(log, text, message):
     told = problem(lambda: read_trace(path))
     assert told.startswith(str(path))
     assert all(words in told for words in message.split("|")), told
-
-
-DESCRIBED = """
-[file]
-delimiter = ";"
-decimal = ","
-skip_rows = 1
-[time]
-column = "Zeit"
-unit = "ms"
-offset = 0.5
-[signals.p]
-column = "Druck"
-unit = "bar"
-factor = 40.0
-offset = -2.0
-[signals.u]
-unit = "mV"
-"""
 
 
 def test_one_description_for_every_use(log):
@@ -134,48 +121,20 @@ def test_words_in_a_column_of_numbers_are_gaps(name, log, capsys):
     problem(lambda: read_trace(path), "column 'P.*: expected a number, got '")
 
 
-def test_lines_and_rows_that_are_stated_count(log, capsys):
+@table(__file__, "stated", "keys, first, told")
+def test_lines_and_rows_that_are_stated_count(log, capsys, keys, first, told):
     """Also a stated 0; rows of numbers are never left out without a line."""
     text = "time;a\ns;V\nKanal 0;Kanal 1\n0;1\n1;2\n2;3\n"
-    for keys, first, told in (
-        ("skip_lines = 0", 1, "a row of units, line 3 left out"),
-        ("skip_lines = 0\nskip_rows = 2", 1, ""),
-        ("skip_lines = 0\nskip_rows = 3", 2, "1 rows of numbers are left out, as skip_rows = 3"),
-        ("skip_lines = 2\n[time]\ncolumn = 'Kanal 0'", 1, ""),
-    ):
-        files._told.clear()
-        (values,) = read_trace(log(text, f"[file]\n{keys}\n")).values()
-        assert values[0] == first
-        assert told in capsys.readouterr().err
+    (values,) = read_trace(log(text, f"[file]\n{keys}\n")).values()
+    assert values[0] == first
+    assert told in capsys.readouterr().err
 
 
-HEADER = """LabVIEW Measurement\t
-Writer_Version\t2
-Separator\tTab
-Decimal_Separator\t,
-X_Columns\t{columns}
-Time_Pref\tRelative
-***End_of_Header***\t
-\t
-Channels\t2{end}
-Samples\t3{between}\t3{end}
-Y_Unit_Label\tbar{between}\tVolts{end}
-X0\t0,0000000000000000E+0{between}\t0,0000000000000000E+0{end}
-Delta_X\t0,020000{between}\t0,020000{end}
-***End_of_Header***\t\t
-"""
-LABVIEW = {
-    "No": "X_Value\tP 1\tU\tComment\n\t1,5\t-2\n\t2,5\t-3\tlever\n\t3,5\t-4\n",
-    "One": "X_Value\tP 1\tU\tComment\n0,00\t1,5\t-2\tstart\n0,02\t2,5\t-3\n0,04\t3,5\t-4\n",
-    "Multi": "X_Value\tP 1\tX_Value\tU\n0,00\t1,5\t0,00\t-2\n0,02\t2,5\t0,02\t-3\n0,04\t3,5\t0,04\t-4\n",
-}
-
-
-@pytest.mark.parametrize("columns", LABVIEW)
-def test_a_labview_file_has_times_and_units_in_its_header(columns, tmp_path):
+@table(__file__, "labview", "rows, columns")
+def test_a_labview_file_has_times_and_units_in_its_header(tmp_path, rows, columns):
     """With a column of times for each channel, for all or none; the file may have commas and points, too."""
     between = "\t" if columns == "Multi" else ""
-    text = HEADER.format(columns=columns, between=between, end=f"{between}\t") + LABVIEW[columns]
+    text = HEADER.format(columns=columns, between=between, end=f"{between}\t") + rows
     commas = text.replace(",", ".").replace("\t", ",").replace("Separator,Tab", "Separator,Comma")
     for name, content in (("tabs.lvm", text), ("commas.lvm", commas)):
         path = tmp_path / name
@@ -190,7 +149,7 @@ def test_a_labview_file_has_times_and_units_in_its_header(columns, tmp_path):
         ("X0\t", "***End_of_Header***\nX0\t", "expected one header of channels, got 2"),
     ):
         changed = HEADER.replace(old, new).format(columns=columns, between=between, end=f"{between}\t")
-        path.write_text(changed + LABVIEW[columns], encoding="utf-8")
+        path.write_text(changed + rows, encoding="utf-8")
         assert told in problem(lambda: read_trace(path))
 
 
@@ -282,19 +241,10 @@ def test_lines_above_the_names_are_left_out(above, log, capsys):
     assert f"the names are in line {line}\n" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "Datum;Uhrzeit;p\n27.11.2026;23:59:59,990;86,5\n28.11.2026;00:00:00,010;86,9\n",
-        "Uhrzeit;Datum;p\n23:59:59,99;27.11.2026;86,5\n00:00:00,01;28.11.2026;86,9\n",
-        "Datum,Uhrzeit,p\n2026-11-27,23:59:59.990,86.5\n2026-11-28,00:00:00.010,86.9\n",
-        "Datum,Uhrzeit,p\n2026-11-27,23:59:59.990,86.5\n2026-11-30,00:00:00.010,86.9\n",
-    ],
-)
-def test_date_and_time_of_day_in_two_columns(text, log):
+@table(__file__, "days", "text, second")
+def test_date_and_time_of_day_in_two_columns(log, text, second):
     """They are one time, over midnight and over whole days, too; the column of dates is a part of it."""
     columns = read_columns(log(text), None)
     assert [*columns.values] == ["Uhrzeit", "p"]
     assert columns.values["p"].tolist() == [86.5, 86.9]
-    days = 2 * ("30" in text)
-    assert time_axis(columns, "Uhrzeit").tolist() == [0.0, 0.02 + 86400 * days]
+    assert time_axis(columns, "Uhrzeit").tolist() == [0.0, second]

@@ -79,17 +79,7 @@ def test_mistakes_in_a_csv_are_located(tmp_path, text, message):
     assert problem(lambda: read_trace(path), message).startswith(str(path))
 
 
-@pytest.mark.parametrize(
-    ("text", "time", "u"),
-    [
-        ("time,u\n0,1\n0.1,2\n0.1,3\n0.2,4\n", [0, 0.1 - 1e-6, 0.1, 0.2], [1, 2, 3, 4]),
-        ("time,u\n0,1\n0.1,2\n0.1,9\n0.1,3\n0.2,4\n", [0, 0.1 - 1e-6, 0.1, 0.2], [1, 2, 3, 4]),
-        ("time,u\n0,1\n0.30000000000000004,2\n0.3,3\n0.5,4\n", [0, 0.3 - 1e-6, 0.3, 0.5], [1, 2, 3, 4]),
-        ("time,u,\n0,1,\n0.1,2,\n", [0, 0.1], [1, 2]),
-        ("time,u\n0,1,\n0.1,2,\n", [0, 0.1], [1, 2]),
-        ('time,"u",\n"0","1",\n"0.1","2",\n', [0, 0.1], [1, 2]),
-    ],
-)
+@table(__file__, "other_tools", "text, time, u")
 def test_files_as_other_tools_write_them(tmp_path, text, time, u):
     """Rows of one event, whose first and last are its limits; a last comma."""
     (tmp_path / "t.csv").write_text(text, encoding="utf-8")

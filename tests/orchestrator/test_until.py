@@ -1,18 +1,22 @@
-"""Runs that end at a condition, and functions that hear of each row."""
+"""Functions of a user that hear of each row or end a run; signals, which wait until between steps."""
 
 import os
 import signal
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 from kit.wait import LONG
 
 from orchestrator import Coupling, Interrupted, Master, RunFailed, read_trace, run, write_ssp
 from orchestrator.__main__ import main
+from orchestrator.base.errors import Problem
+from orchestrator.base.interrupts import DeferredInterrupts, of_user
+from orchestrator.base.processes import mapping
 
 STEPS = {"step": 1e-2, "stop": 2.0}
 EACH = pytest.mark.parametrize("isolate", [True, False])
@@ -170,16 +174,109 @@ def test_the_command_ends_with_status_0(oscillator, tmp_path, capsys):
     assert read_trace(out)["a.x"][-1] < -0.5
 
 
-@pytest.mark.parametrize(
-    ("until", "message"),
-    [
-        ("a.x", "until: expected SIGNAL < NUMBER, such as arm.height < -1.5 m, got 'a.x'"),
-        ("a.y < 1", "until a.y < 1: expected one signal, got none"),
-        ("x < 1", "until x < 1: expected one signal, got a.x, b.x"),
-        ("a.x < one", "until a.x < one: expected a number behind <, got 'one'"),
-        ("a.x < 1 bar", "until a.x < 1 bar: expected a unit like m, got 'bar'"),
-    ],
-)
+@table(__file__, "no_conditions", "until, message")
 def test_what_is_no_condition_is_told(oscillator, until, message):
     """In one line, before the run."""
     assert problem(lambda: run(oscillator, until=until)).startswith(message)
+
+
+# ---- Signals during a run: noted, handled between steps; the usual handling comes back after it
+
+
+def test_a_signal_waits_for_the_next_check():
+    """Nothing is raised where it comes, which may be inside a function that an FMU calls."""
+    with DeferredInterrupts() as interrupts:
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+        interrupts.check()  # once is enough
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(RuntimeError), DeferredInterrupts():  # it comes back after an error, too
+        raise RuntimeError
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_signal_at_the_very_end_and_a_second_one_are_handled():
+    """No check comes after the first; a second one does not wait for an FMU that may never come back."""
+    with pytest.raises(KeyboardInterrupt), DeferredInterrupts():
+        signal.raise_signal(signal.SIGINT)
+    with DeferredInterrupts():
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    # it waits where raising is of no use: CVODES takes an exception in its equations for a step that failed
+    raised = []
+    with pytest.raises(KeyboardInterrupt), DeferredInterrupts(second_at_once=False):
+        raised.extend(signal.raise_signal(signal.SIGINT) for _ in range(2))
+    assert len(raised) == 2
+
+
+def test_a_signal_is_handled_at_once_in_a_function_of_the_user():
+    """Also one that came just before; but not in a function that C calls there, such as an FMU its logger."""
+    handled, module = [], {"__name__": "orchestrator.fmi.library", "signal": signal}
+    exec("def logger(): signal.raise_signal(signal.SIGINT)", module)
+
+    def deferred(second_at_once, function, *arguments):
+        with DeferredInterrupts(second_at_once):
+            function(*arguments)
+            handled.append("after it")
+
+    def raises():
+        signal.raise_signal(signal.SIGINT)
+        handled.append("too late")
+
+    def nested():
+        with DeferredInterrupts():
+            signal.raise_signal(signal.SIGINT)
+            handled.append("nested")
+
+    def before():
+        signal.raise_signal(signal.SIGINT)
+        of_user(handled.append, "too late")
+
+    for second_at_once in (True, False):
+        for calls in ([of_user, raises], [of_user, nested], [before], [of_user, module["logger"]]):
+            with pytest.raises(KeyboardInterrupt):
+                deferred(second_at_once, *calls)
+    assert handled == 2 * ["nested", "after it"]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no such signal")
+def test_only_signals_that_python_handles_wait():
+    """The way in which a command ends when its terminal closes is among them."""
+
+    def handler(*_):
+        raise KeyboardInterrupt("terminal closed")
+
+    usual = signal.signal(signal.SIGHUP, handler)
+    try:
+        with DeferredInterrupts() as interrupts:
+            assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+            signal.raise_signal(signal.SIGHUP)
+            with pytest.raises(KeyboardInterrupt, match="terminal closed"):
+                interrupts.check()
+        assert signal.getsignal(signal.SIGHUP) is handler
+    finally:
+        signal.signal(signal.SIGHUP, usual)
+
+
+def test_runs_in_other_threads_leave_signals_alone():
+    """Only the main thread may say what a signal does."""
+
+    def seen():
+        with DeferredInterrupts():
+            return signal.getsignal(signal.SIGINT)
+
+    with ThreadPoolExecutor(1) as threads:
+        assert threads.submit(seen).result() is signal.default_int_handler
+
+
+# ---- Work in several processes: results in order, and an end if one of them is killed
+
+
+def test_a_killed_process_ends_the_work():
+    """In one line, where the others would wait for ever; the results until then are in order."""
+    with mapping(2) as each:
+        assert list(each(abs, [-3, -1, -2])) == [3, 1, 2]
+    with pytest.raises(Problem, match="a helper process was ended from outside"), mapping(2) as each:
+        list(each(os._exit, [9, 9, 9]))

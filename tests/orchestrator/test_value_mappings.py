@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 from kit.ssp import inline, second, ssd, system, wire
 
 from orchestrator import Trace, load, run
@@ -174,18 +174,7 @@ def test_parameters_are_mapped_by_their_type(make):
     assert "the parameter set has no 'm'" in load(make([part("p", misspelt)], [])).notes[0]
 
 
-OTHER, HALF = mapping("Integer", (1, 2)), '<ssc:LinearTransformation factor="0.5"/>'
-
-
-@pytest.mark.parametrize(
-    ("pairs", "told"),
-    [
-        ([("n", "int_in"), ("m", "int_in")], "MappingEntry: expected each target once, got 'int_in' twice"),
-        ([("n", "real_in", OTHER)], "p.real_in: expected a LinearTransformation of a Real, got .*"),
-        ([("n", "label", OTHER)], "p.label: expected no transformation of a String, got .*"),
-        ([("n", "int_in", HALF)], "p.int_in: expected integer factor and .*"),
-    ],
-)
+@table(__file__, "impossible", "pairs, told")
 def test_parameter_mappings_that_cannot_be_are_told(make, pairs, told):
     """In one line."""
     given = values(entries(*pairs), n=("Integer", 1), m=("Integer", 2))

@@ -2,17 +2,12 @@
 
 import re
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from kit.any_fmu.description import packed
 from kit.mistakes import problem, refused, table
-from kit.properties import examples
 
-from orchestrator import Coupling, Problem, load, run
+from orchestrator import Coupling, load, run
 from orchestrator.__main__ import main
 
 SSP = "http://ssp-standard.org/SSP1/SystemStructure"
@@ -190,57 +185,3 @@ def test_an_empty_system_is_told(zip_ssp, capsys):
     text = re.sub(r"<ssd:Elements>.*</ssd:Connections>", "<ssd:Elements/>", ssd(), flags=re.S)
     told = refused(capsys, ["run", zip_ssp(text, {})])
     assert told.endswith("SystemStructure.ssd: the system has no components: expected at least one FMU\n")
-
-
-@pytest.fixture(scope="module")
-def whole(fmus, tmp_path_factory) -> Callable[[str], Path]:
-    """Writes an .ssp with all that a file may have, from its changed text."""
-    binding = (
-        '<ssd:ParameterBindings><ssd:ParameterBinding><ssd:ParameterValues><ssv:ParameterSet version="1.0" '
-        'name="p"><ssv:Parameters><ssv:Parameter name="a.x2"><ssv:Real value="1" unit="m"/></ssv:Parameter>'
-        "</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues><ssd:ParameterMapping><ssm:ParameterMapping "
-        f'xmlns:ssm="{SSP}ParameterMapping" version="1.0"><ssm:MappingEntry source="a.x2" target="a.x2">'
-        '<ssc:LinearTransformation factor="2"/></ssm:MappingEntry></ssm:ParameterMapping></ssd:ParameterMapping>'
-        "</ssd:ParameterBinding></ssd:ParameterBindings>"
-    )
-    text = ssd(experiment=BASE, in_system=FIXED, bindings=binding)
-    parts = {f"resources/{name}.fmu": fmus[f"mass_{name}"].read_bytes() for name in "ab"}
-    path = tmp_path_factory.mktemp("broken") / "system.ssp"
-
-    def write(change: Callable[[str], str]) -> Path:
-        return packed(path, {"SystemStructure.ssd": change(text), **parts})
-
-    assert load(write(str)).components["a"].start == {"x2": 2.0}
-    return write
-
-
-ODD = ("", "nan", "-1", "x", "1e-300", "http://[::1", "../..", "9" * 30, "é")
-
-
-@examples(50)
-@given(data=st.data())
-def test_a_file_with_attributes_lost_or_changed_is_read_or_refused(whole, data):
-    """For any fault the result is a system or one line, never another exception."""
-
-    def change(text: str) -> str:
-        for _ in range(data.draw(st.integers(1, 3))):
-            places = [m.span() for m in re.finditer(r' [\w:]+="[^"]*"', text)]
-            start, end = data.draw(st.sampled_from(places))
-            name = text[start:end].partition("=")[0]
-            odd = data.draw(st.sampled_from((None, *ODD)))
-            text = text[:start] + (f'{name}="{odd}"' if odd is not None else "") + text[end:]
-        return text
-
-    path, text = whole(change), ""
-    try:
-        load(path)
-    except Problem as told:
-        text = str(told)
-    assert "\n" not in text
-
-
-def test_a_mapping_with_another_attribute_is_told(whole):
-    """As in a file of OMSimulator's tests: line, element, expected and got."""
-    told = r"line \d+: MappingEntry: expected an attribute target, got source, destination$"
-    with pytest.raises(Problem, match=told):
-        load(whole(lambda text: text.replace('source="a.x2" target=', 'source="a.x2" destination=')))

@@ -4,9 +4,8 @@ import sys
 from pathlib import Path
 from runpy import run_path
 
-import numpy as np
 import pytest
-from fmpy import read_model_description, simulate_fmu
+from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 from kit.fmu import Fmu, driving, in_new_process
 from kit.mistakes import problem, refused, table
@@ -49,14 +48,6 @@ def test_it_is_a_lag(tmp_path, fmi):
         y = 0.01 * (1.0 + 2.0 * 0.005) / 0.1  # u in the middle of the step
         assert fmu.get("u", "y", "z") == pytest.approx([1.02, y, y + 0.5], rel=1e-15)  # the same operations
         fmu.refuses(lambda: fmu.output_slopes("z"), "a model written by hand has no derivatives")
-
-
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_simulate_fmu_runs_it(tmp_path, fmi):
-    """FMPy's simulate_fmu, as a user calls it."""
-    result = simulate_fmu(str(built(tmp_path, fmi=fmi)), stop_time=1.0, output_interval=1e-3)
-    # explicit Euler: 1 - 0.99^1000
-    assert result["y"][-1] == pytest.approx(1 - 0.99**1000, rel=1e-12, abs=0)
 
 
 def test_the_description_is_complete(tmp_path):
@@ -216,25 +207,6 @@ def test_variables_that_differ_from_the_build_are_refused(tmp_path, monkeypatch)
     fmu = Fmu(path)
     fmu.refuses(fmu.start, "other variables than at its build")
     fmu.close()
-
-
-def test_values_out_of_bounds_are_refused(tmp_path):
-    """Values out of bounds and impossible start values are refused as by a native FMU."""
-    with driving(built(tmp_path)) as fmu:
-        for values, message in (
-            ({"delay": 0.0}, "delay cannot be set to 0 s at t = 0 s, expected 0.001 to inf"),
-            ({"u": np.nan}, "u cannot be set to nan at t = 0 s, expected a finite number"),
-            ({"y": 1.0}, "y cannot be set to 1 at t = 0 s: a state can be set only before"),
-            ({"z": 1.0}, "z cannot be set to 1 at t = 0 s: it is an output"),
-        ):
-            fmu.refuses(lambda values=values: fmu.set(**values), f"fmi2SetReal: {message}")
-
-
-def test_a_warning_is_no_error(tmp_path):
-    """There is one warning per excursion of a watched output."""
-    with driving(built(tmp_path)) as fmu:
-        fmu.set(w=200.0).step(1e-3, 3)
-    assert fmu.logged("logStatusWarning") == ["fmi2DoStep: z = 200.01 N at t = 0.001 s is above 100 N"]
 
 
 def test_files_of_one_name_live_together(tmp_path):

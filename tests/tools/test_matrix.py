@@ -21,7 +21,6 @@ from benchmarks.matrix.running import Outcome, carried_out, ran
 from benchmarks.matrix.systems import DIVERGES, OPEN, SIGNALS, WIRED, Row, by_tool, judged
 
 SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
-NOT_FOUND = "fake: libc.so.6: version `GLIBC_2.38' not found"  # a number that is no version
 
 
 @pytest.fixture
@@ -287,20 +286,10 @@ def test_a_job_gives_rows_and_wall_time_whatever_the_program_prints(program, tmp
     np.testing.assert_array_equal(found.rows["y"], [1, 2])
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ('sys.exit("no licence")', "no licence"),
-        ("sys.exit(3)", "exit status 3"),
-        ("os.kill(os.getpid(), 9)", "ended by SIGKILL"),
-        ("", "ends without rows"),
-        (f'{JOB}out.write_text("time,y\\n")', "ends without rows"),
-        (f'{JOB}{GOOD}out.write_text("time,y\\n0,x\\n")', "ends without rows"),
-        (f'{JOB}{GOOD}out.with_name("wall.txt").write_text("soon")', "ends without rows"),
-    ],
-)
+@table_of(__file__, "failing_jobs", "text, problem")
 def test_a_job_that_fails_says_why(program, tmp_path, text, problem):
     """And has no rows."""
+    text = text.replace("{JOB}", JOB).replace("{GOOD}", GOOD)
     found = carried_out(fake(program(text)), tmp_path)
     assert (dict(found.rows), found.problem) == ({}, problem)
 
@@ -330,15 +319,7 @@ def test_a_program_tells_its_version(program, text, version):
     assert Tool("fake", "Fake", command=program(text)).presence().version == version
 
 
-@pytest.mark.parametrize(
-    ("text", "module", "problem"),
-    [
-        (f'sys.exit("{NOT_FOUND}")', "", f"`fake --version`: {NOT_FOUND}"),
-        ("time.sleep(600)", "", "`fake --version` gives no answer in 0.5 s"),
-        ("time.sleep(600)", "fake", "`import fake` gives no answer in 0.5 s"),
-        ("sys.exit('no module')", "fake", "`import fake`: no module"),
-    ],
-)
+@table_of(__file__, "no_start", "text, module, problem")
 def test_a_tool_that_does_not_start_is_not_run(program, monkeypatch, text, module, problem):
     """It says what it or Python says; nobody waits for it for ever."""
     monkeypatch.setattr(present, "ANSWER", 0.5 if "sleep" in text else LONG)

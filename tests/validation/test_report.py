@@ -9,16 +9,29 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from kit import shards
+from kit.mistakes import problem, table
 from markupsafe import Markup
+from matplotlib.figure import Figure
 from validation.conftest import Edit
 
+from fmus.machine.build import data
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
+from orchestrator.pages import plotting
 from orchestrator.pages.figures import VENDOR
-from orchestrator.results.layout import FigureSpec, PanelSpec
+from orchestrator.pages.plotting import decimate, png, svg
+from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.validation import Validation, validate
-from orchestrator.results.validation_report import Report, ReportedComponent, ReportedParameter, write_report
+from orchestrator.results.validation_report import (
+    Report,
+    ReportedComponent,
+    ReportedParameter,
+    draw,
+    write_report,
+)
 
 VOID = {"meta", "link", "br", "wbr", "input", "img"}
 
@@ -184,3 +197,155 @@ def test_no_column_is_cut_off_in_a_browser(report: Report, tmp_path: Path, chrom
         assert (max(page.evaluate(hidden)) <= 0) == fits
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.close()
+
+
+# ---- Figures: nothing lost by decimation, everything drawn that was asked for
+
+ANGLE = FigureSpec("Angle", (PanelSpec("Angle", ("shaft.angle",)),))
+COMMAND = PanelSpec("Command", ("pump.command",))
+SPEC = FigureSpec("Shaft", (COMMAND, *ANGLE.panels, PanelSpec("Pressure", ("pump.pressure",), ("head",))))
+SAMPLES = st.floats(-1e6, 1e6) | st.just(np.nan)
+
+
+@given(values=st.lists(SAMPLES, min_size=1, max_size=300), buckets=st.integers(1, 40))
+def test_decimation_keeps_the_extremes_and_the_ends(values: list[float], buckets: int) -> None:
+    """Largest, smallest, first and last sample survive in order, also beside gaps, in the promised number."""
+    y = np.array(values)
+    t = np.arange(len(y), dtype=float)
+    kept_t, kept_y = decimate(t, y, buckets)
+    assert len(kept_t) <= 2 * buckets + 2
+    if np.isfinite(y).any():
+        assert (np.nanmin(kept_y), np.nanmax(kept_y)) == (np.nanmin(y), np.nanmax(y))
+    assert (kept_t[0], kept_t[-1]) == (0.0, len(y) - 1.0)
+    assert np.all(np.diff(kept_t) > 0)
+
+
+@pytest.fixture(scope="module")
+def figure(outcome: Validation, trace: Trace) -> Figure:
+    """The figure of SPEC, drawn."""
+    made = draw(SPEC, outcome, trace)
+    made.draw_without_rendering()
+    return made
+
+
+def test_panels_and_error_strips(figure: Figure) -> None:
+    """A compared signal gets a panel and an error strip in display units, a command its panel only.
+
+    The PNG of the figure for a README is one.
+    """
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert labels == ["Command\n[V]", "Angle\n[deg]", "error\n[deg]", "Pressure\n[bar]", "error\n[bar]"]
+    assert png(figure, dpi=40).startswith(b"\x89PNG")
+
+
+def test_signals_that_are_not_judged_have_no_error_strip(edited: Edit, trace: Trace) -> None:
+    """Unless the reference states no limits at all: then the errors are what there is to see."""
+
+    def strips(old: str, new: str) -> int:
+        judged = validate(trace, read_recording(edited(old, new)), rate=False)
+        return sum("error" in axes.get_ylabel() for axes in draw(SPEC, judged, trace).axes)
+
+    assert strips('angle = { metric = "nrmse", limit = 0.01 }', 'angle = "none"') == 1
+    assert strips('pressure = { metric = "maximum", limit = 2.0 }', 'pressure = "none"') == 2
+
+
+def test_reference_is_solid_and_simulation_dotted(figure: Figure) -> None:
+    """As in the paper: solid line measured, dotted line simulated; the error is simulation - reference."""
+    reference, simulation = figure.axes[3].lines
+    assert reference.get_linestyle() == "-"
+    assert simulation.get_linestyle() != "-"
+    # 1 bar put in by the fixture; 12 digits in the CSV
+    np.testing.assert_allclose(figure.axes[4].lines[1].get_ydata(), 1.0, rtol=1e-6)
+
+
+def test_names_and_verdict_stand_at_the_panel(figure: Figure) -> None:
+    """The names above it, off the curves; beside them the judged number, its limit and whether it holds."""
+    panel = figure.axes[3]
+    assert panel.get_legend().get_window_extent().y0 >= panel.get_window_extent().y1
+    assert [text.get_text() for text in panel.texts] == ["✓ head 1 bar\nmax. error ≤ 2 bar"]
+
+
+def test_unknown_signal_is_refused(outcome: Validation, trace: Trace) -> None:
+    """The message contains the figure and its unknown signal."""
+    spec = FigureSpec("Shaft", (PanelSpec("Angle", ("shaft.angel",)),))
+    expected = "figure 'Shaft': expected a signal of the comparison or of the run, got 'shaft.angel'"
+    assert expected in problem(lambda: draw(spec, outcome, trace))
+
+
+def test_an_embedded_figure_is_reproducible_and_follows_the_page(outcome, trace, monkeypatch) -> None:
+    """Drawn twice it is the same SVG, so that a report changes only when its numbers do.
+
+    Inline it has colours by variable, ids of its own and text as text; with too many points it is a picture.
+    """
+    one, other = (draw(ANGLE, outcome, trace) for _ in range(2))
+    assert svg(one) == svg(other)
+    text = str(plotting.embed(one, "f7-", "Shaft"))
+    assert text.startswith("<svg")
+    assert "http" not in text
+    inside = ("var(--fig-dark0, #06406b)", 'id="f7-', "url(#f7-", ">Angle<")
+    assert [words for words in inside if words not in text] == []
+    monkeypatch.setattr(plotting, "SVG_LIMIT", 10)
+    text = str(plotting.embed(other, "f-", 'A "title"'))
+    assert text.startswith('<img class="paper" alt="A &#34;title&#34;" src="data:image/png;base64,iVBOR')
+
+
+# ---- Layouts: what a report shows, read from a file
+
+LAYOUT = Path(__file__).with_name("layout.toml").read_text(encoding="utf-8")
+
+
+def layout_file(folder: Path, text: str) -> Path:
+    path = folder / "l.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_all_that_a_layout_holds(tmp_path: Path, trace: Trace) -> None:
+    """Title and figures with their panels come out as they were written."""
+    layout = read_layout(layout_file(tmp_path, LAYOUT))
+    panels = (
+        PanelSpec("Angle", ("shaft.angle",)),
+        PanelSpec("Pressures", ("pump.pressure", "pump.command"), ("p", "u")),
+    )
+    assert (layout.title, layout.figures) == ("Shaft", (FigureSpec("Turning", panels, "of the shaft"),))
+    layout.check(trace)
+
+
+def test_an_empty_file_and_the_projects_own_are_layouts(tmp_path: Path, trace: Trace) -> None:
+    """Nothing is needed; the project has one figure per actuator with five rows."""
+    layout = read_layout(layout_file(tmp_path, ""))
+    assert layout == Layout(source=layout.source)
+    layout.check(trace)
+    layout = read_layout(data("reference/work_cycle.layout.toml"))
+    assert [len(figure.panels) for figure in layout.figures] == [5, 5, 5]
+
+
+def test_what_a_run_lacks_can_be_left_out(tmp_path: Path, trace: Trace) -> None:
+    """Signals with their names, rows and figures without signals."""
+    layout = read_layout(layout_file(tmp_path, LAYOUT))
+    assert layout.within(trace) == layout
+    kept = layout.within(trace.select(["pump.command"]))
+    assert [f.panels for f in kept.figures] == [(PanelSpec("Pressures", ("pump.command",), ("u",)),)]
+    assert layout.within(trace.select([])).figures == ()
+
+
+@table(__file__, "lacking", "old, new, expected")
+def test_a_signal_that_the_run_lacks_is_named(tmp_path, trace, old: str, new: str, expected: str) -> None:
+    """With the file, the place and what it could be."""
+    path = layout_file(tmp_path, LAYOUT.replace(old, new, 1))
+    assert f"l.toml: {expected}" in problem(lambda: read_layout(path).check(trace))
+
+
+@table(__file__, "mistakes", "text, expected")
+def test_mistakes_name_file_place_and_what_was_expected(tmp_path: Path, text: str, expected: str) -> None:
+    """A wrong layout is refused when it is read, before anything runs."""
+    path = layout_file(tmp_path, text)
+    line = problem(lambda: read_layout(path))
+    assert line.startswith(f"{path}: ")
+    assert expected in line
+
+
+def test_a_missing_file_and_a_folder_are_told(tmp_path: Path) -> None:
+    """As what they are."""
+    problem(lambda: read_layout(tmp_path / "none.toml"), r"none.toml: no such file")
+    problem(lambda: read_layout(tmp_path), "expected a file, got a folder")

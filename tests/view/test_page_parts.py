@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 from view.standin import StandIn
 
 from orchestrator.data.trace import Trace, read_trace
@@ -162,19 +162,10 @@ def test_only_what_is_offered_is_started(fmu_dir: Path) -> None:
         problem(lambda wrong=wrong: next_choice(now, asked | wrong))
 
 
-ONE_GAUGE = 'charts = []\n[[gauges]]\ntitle = "a"\nlines = [{name = "x", text = "x", unit = "%s", high = %d}]'
-WRONG = {
-    "view.toml: unknown key 'axis'; did you mean axes": "gauges = []\ncharts = []\naxis = 1",
-    "view.toml: gauges: expected a list, got nothing": "charts = []",
-    "gauge x: unit 'furlong' is unknown": ONE_GAUGE % ("furlong", 1),
-    "gauge x: expected an end above 0, got 0": ONE_GAUGE % ("m", 0),
-}
-
-
-@pytest.mark.parametrize("message", WRONG)
-def test_a_description_that_is_wrong(bench: System, tmp_path: Path, message: str) -> None:
+@table(__file__, "wrong", "text, message")
+def test_a_description_that_is_wrong(bench: System, tmp_path: Path, text: str, message: str) -> None:
     """One line with what was expected and what was got."""
-    path = write_ssp(bench, tmp_path / "bench.ssp", resources={"view.toml": WRONG[message].encode()})
+    path = write_ssp(bench, tmp_path / "bench.ssp", resources={"view.toml": text.encode()})
     assert message in problem(lambda: plan(MachineChoice(path)))
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import http.client
 import json
+import os
 import socket
 import threading
 import time
@@ -13,12 +14,19 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from kit import shards
+from kit.mistakes import problem
 from kit.wait import LONG, until
 from view.standin import URL, Server, serving, started
 from websockets.sync.client import connect
 
-from orchestrator.view import server_load
+from orchestrator.base.errors import Problem
+from orchestrator.drive.sticks import StickAxes
+from orchestrator.view import result_files, server_load
+from orchestrator.view.authority import Message, TokenBucket, parse
+from orchestrator.view.result_files import find_result, list_results
 from orchestrator.view.server_load import WAITING
 
 get = partial(httpx.get, timeout=LONG)
@@ -151,3 +159,137 @@ def test_complete_requests_stay(hasty: Server) -> None:
             assert asking.sock is (kept := kept or asking.sock)
             time.sleep(0.1)
         assert hasty.authority.stations
+
+
+# ---- Names of files from a browser: what lies in the folder is found, everything else is one line
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Results, and things beside them that must not be read."""
+    results = tmp_path / "results"
+    (results / "deep").mkdir(parents=True)
+    for name in ("run.csv", "deep/more.parquet", "notes.txt"):
+        (results / name).write_text("time\n")
+    (tmp_path / "secret.csv").write_text("time\n")
+    (results / "out.csv").symlink_to(tmp_path / "secret.csv")
+    (results / "up").symlink_to(tmp_path)
+    (results / "in.csv").symlink_to(results / "run.csv")
+    (results / "loop.csv").symlink_to(results / "loop.csv")
+    (results / "hidden.csv").symlink_to(results / "notes.txt")
+    (results / "dir.csv").mkdir()
+    os.mkfifo(results / "pipe.csv")
+    return results
+
+
+def test_found_and_listed(folder: Path) -> None:
+    """Files in the folder, below, and where a link inside leads; what is listed can be opened, no more."""
+    for name in ("run.csv", "deep/more.parquet"):
+        assert find_result(name, [folder / "nowhere", folder]) == find_result(name, [folder]) == folder / name
+    assert find_result("in.csv", [folder]) == folder / "run.csv"
+    names = list_results([folder])
+    assert names == ["run.csv"]
+    assert all(find_result(name, [folder]) for name in names)
+    assert list_results([folder / "nowhere"]) == []
+
+
+REFUSED = [
+    *("../secret.csv", "deep/../../secret.csv", "..", "/etc/passwd", "/etc/x.csv", "//host/share/x.csv"),
+    *("..\\secret.csv", "C:\\x.csv", "C:x.csv", "\\\\host\\x.csv", "~/x.csv", "run.csv\x00.csv", "a\nb.csv"),
+    *("out.csv", "up/secret.csv", "up/results/../secret.csv", "loop.csv", "hidden.csv"),
+    *("dir.csv", "pipe.csv", "CON.csv", "nul.csv", "deep/com1.parquet", "aux .csv"),
+    *("run.csv:stream", "*.csv", "\ud800.csv", "a\u202eb.csv"),
+    *("", "notes.txt", "run", ".csv", "nowhere.csv", "a" * 300 + ".csv", None, 3, ["run.csv"], b"run.csv"),
+]
+
+
+@pytest.mark.parametrize("name", REFUSED, ids=ascii)
+def test_refused(folder: Path, name: object) -> None:
+    """Ways out of the folder, devices, folders, pipes and things that are no name: one short line each."""
+    told = problem(lambda: find_result(name, [folder]), r"file(: | '.*': )")
+    assert str(folder) not in told, "a browser learns no path of this computer"
+    assert len(told) < 200
+
+
+@given(st.text(max_size=300))
+def test_never_outside(name: str) -> None:
+    """No text whatever leads to a file outside the folders."""
+    with pytest.raises(Problem):
+        find_result(name, [Path(__file__).parent])
+
+
+def test_huge(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that would fill the memory is refused by its size, before it is read."""
+    monkeypatch.setattr(result_files, "LARGEST", 3)
+    with pytest.raises(Problem, match="expected at most"):
+        find_result("run.csv", [folder])
+
+
+# ---- Messages from a browser: what is believed, and that everything else is one Problem
+
+GOOD = {"n": 3, "sticks": [0, -1, 0.25, 1], "dead_man": True}
+
+
+def test_good() -> None:
+    """An honest message is what it says."""
+    assert parse(json.dumps(GOOD)) == Message(3, StickAxes(0, -1, 0.25, 1), True)
+
+
+STICKS = ([], [0] * 3, [0] * 25, "0000", None, {"0": 1})
+VALUES = ("1.0001", "-2", "1e308", "1e999", "-1e999", "NaN", "Infinity", "true", "null", '"1"', "[1]")
+WRONG = {
+    "not json": "{",
+    "binary": json.dumps(GOOD).encode(),
+    "nothing": "",
+    "array": "[]",
+    "number": "17",
+    "null": "null",
+    "a key too few": json.dumps({"n": 1, "dead_man": True}),
+    "a key too many": json.dumps(GOOD | {"axis": "x"}),
+    "huge": json.dumps(GOOD | {"sticks": [0.1] * 1000}),
+    "deep": "[" * 250,
+    "long number": '{"n":' + "9" * 240 + "}",
+    **{f"n {n!r}": json.dumps(GOOD | {"n": n}) for n in (-1, 2**53, 1.0, True, "1", None, [])},
+    **{f"sticks {s!r}": json.dumps(GOOD | {"sticks": s}) for s in STICKS},
+    **{f"value {v}": json.dumps(GOOD).replace("0.25", v) for v in VALUES},
+    **{f"dead man {d!r}": json.dumps(GOOD | {"dead_man": d}) for d in (1, 0, "true", None)},
+}
+
+
+@pytest.mark.parametrize("raw", WRONG.values(), ids=WRONG.keys())
+def test_wrong(raw: str | bytes) -> None:
+    """Whatever is wrong is told in one short line."""
+    with pytest.raises(Problem, match="message: ") as told:
+        parse(raw)
+    assert "\n" not in str(told.value)
+    assert len(str(told.value)) < 200
+
+
+@given(st.text() | st.binary())
+def test_garbage(raw: str | bytes) -> None:
+    """Arbitrary text and bytes are a Problem and no other exception."""
+    with pytest.raises(Problem):
+        parse(raw)
+
+
+def shaped(inner: st.SearchStrategy[object]) -> st.SearchStrategy[object]:
+    return st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["n", "sticks", "dead_man"]), inner)
+
+
+@given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5), shaped))
+def test_garbage_of_the_right_shape(found: object) -> None:
+    """JSON that looks like a message is a message within its bounds, or a Problem."""
+    try:
+        message = parse(json.dumps(found))
+    except Problem:
+        return
+    assert all(abs(value) <= 1 for value in vars(message.sticks).values())
+
+
+def test_bucket() -> None:
+    """At once as many as it holds, then the steady rate, however long it was quiet before."""
+    bucket = TokenBucket(rate=10, depth=5, content=5)
+    assert [bucket.take(100.0) for _ in range(7)] == [True] * 5 + [False] * 2
+    # a fifth of a second fills two
+    assert [bucket.take(100.2) for _ in range(3)] == [True, True, False]
+    assert not bucket.take(99.0)

@@ -12,49 +12,19 @@ from pathlib import Path
 import fmpy
 from check.good import DESCRIPTION, SOURCE, XML_2, XML_3, Archive
 from kit.compile import library
+from kit.mistakes import entry
 
 from orchestrator.base.compiler import SUFFIX
 
 FLAGS = ("-std=gnu11", "-fno-sanitize=undefined", "-Wno-unused-parameter", "-Wno-infinite-recursion", "-s")
 FLAGS += ("-lrt",) if sys.platform == "linux" else ()
 HANGS = ("spin", "sleep")
-# An FMU that does not fail, but does what no FMU may. benchmarks/hostile.py runs each through each command.
-MISUSES = {
-    "exec": "replaces the process by another program",
-    "twin": "forks, and both processes return from the step",
-    "garbage": "writes to all open files",
-    "close": "closes all files",
-    "chatter": "logs without end",
-    "babble": "prints without end",
-    "text": "logs a message of 64 MB",
-    "take": "allocates and frees 2 GB",
-    "rounding": "changes the rounding mode",
-    "signals": "ignores and blocks all signals",
-    "limits": "sets the limits of open files and of their size to 0",
-    "thread": "leaves a thread that never ends",
-    "files": "makes all files non-blocking, and takes another standard input",
-    "inputs": "writes to the pipe from which its process reads",
-    "divert": "sends the results elsewhere, and keeps the connection open",
-    "timers": "leaves timers that end the process after 1 s",
-    "nest": "makes 1500 folders inside each other",
-    "orphan": "starts a process without parent, session and environment, and crashes",
-    "forge": "sends a message that only the process of the run may send",
-}
+MISUSES, CAUSES = entry(__file__, "misuses"), entry(__file__, "causes")
 HARMLESS = ("none", "fork", "daemon", "print")  # the run ends as if nothing had happened
-CAUSES = {  # what a message calls a fault that ends the process
-    "exit_0": "exit status 0",
-    "exit_7": "exit status 7",
-    "quick_exit_7": "exit status 7",
-    "segfault": "segmentation fault",
-    "abort": "abort",
-    "divide": "arithmetic exception",
-    "overflow": "segmentation fault",
-    "leak": "more than 0.5 GB of memory",
-}
 FAULTS = (*CAUSES, *HANGS, "nan", *HARMLESS[1:])
 PHASES = ("instantiate", "initialise", "step", "free")
 # with one version of FMI, on which only the names of the functions depend: each fault and phase has both.
-# test_sweep.py has every fault in every phase with both
+# a study has every fault in every phase with both
 PAIRS = product(enumerate(FAULTS), enumerate(PHASES))
 CASES = tuple((fault, phase, 3 - (i + j) % 2) for (i, fault), (j, phase) in PAIRS)
 # FMI functions of the phases, without prefix

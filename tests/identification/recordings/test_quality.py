@@ -177,16 +177,7 @@ def test_rows_written_twice(clean):
     assert text == "The clock: 1 rows repeat the row before, first at 9.5 s."
 
 
-@pytest.mark.parametrize(
-    ("chance", "slope", "planted", "told"),
-    [
-        # 119 rows by chance, five standard deviations of their number are 55
-        (0.03, 0, 40, False),
-        (0.03, 0, 100, True),
-        (0.08, 0, 300, False),  # rows that are equal in one of twelve cases are not judged
-        (0.03, 60, 100, True),  # a triangle with a period of 36 samples: of its slope no two rows are equal
-    ],
-)
+@table(__file__, "equal_rows", "chance, slope, planted, told")
 def test_equal_rows_are_counted_against_chance(chance, slope, planted, told):
     """A step over 2 root pi sd is the probability of two equal samples of a constant."""
     sd, k = 1 / (2 * np.sqrt(np.pi) * chance), np.arange(SIZE)

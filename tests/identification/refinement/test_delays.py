@@ -8,6 +8,7 @@ from identification.procedures.bench import changed
 from identification.refinement.oscillator import FREE, TRUTH, problem, recording, run
 from identification.refinement.test_refine_machine import SOME, machine_recording
 from kit.mistakes import problem as problem_of
+from kit.mistakes import table
 
 from fmus.identification import machine
 from fmus.identification.machine import COMMANDS, nominal
@@ -109,21 +110,14 @@ def test_the_delays_of_all_commands_are_found_and_taken_out() -> None:
         np.testing.assert_allclose(moved[name][50:], clean[name][50:], atol=0.01)
 
 
-def test_a_delay_is_declared_at_what_drives_the_machine() -> None:
+@table(__file__, "declared", "procedure, signal, unit, refused")
+def test_a_delay_is_declared_at_what_drives_the_machine(procedure, signal, unit, refused) -> None:
     """At an output, or on a bench, one line names the signal."""
-    sensor = Sensor(delay_error=0.1)
-    for procedure, signal, unit, refused in (
-        ("machine", "boom_stick.boom_command", "V", False),
-        ("machine", "swing.supply_pressure", "Pa", False),
-        ("machine", "manipulator.boom_angle", "rad", True),
-        ("damping", "boom_stick.boom_command", "V", True),
-        ("valve", "command", "V", True),
-    ):
-        time = np.arange(3.0)
-        read = Recording(time, {signal: time}, {signal: unit}, procedure=procedure, sensors={signal: sensor})
-        signals = {"valve": {"command": "V"}}
-        if refused:
-            told = problem_of(lambda read=read, signals=signals: check_names([read], signals))
-            assert told.startswith(f"recording: signal {signal}: delay_error: only that of a command or ")
-        else:
-            check_names([read], signals)
+    time, sensors = np.arange(3.0), {signal: Sensor(delay_error=0.1)}
+    read = Recording(time, {signal: time}, {signal: unit}, procedure=procedure, sensors=sensors)
+    signals = {"valve": {"command": "V"}}
+    if refused:
+        told = problem_of(lambda: check_names([read], signals))
+        assert told.startswith(f"recording: signal {signal}: delay_error: only that of a command or ")
+    else:
+        check_names([read], signals)

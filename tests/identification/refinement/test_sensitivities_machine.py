@@ -8,11 +8,14 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from equations.test_opening_curve import numbers_of
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
+from kit.equations import EDGES
 from kit.properties import examples
 
+from fmus import swing
 from fmus.contract import quantities, symbolic
 from fmus.identification.refinement.compiled_model import CompiledModel, SegmentSolution
 from fmus.machine.one_block import HARVESTER
@@ -201,3 +204,41 @@ def test_threads_do_not_disturb_each_other() -> None:
         assert a.steps == b.steps
         for name in ("y", "x", "y_x", "y_p", "x_x", "x_p"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
+
+
+# ---- Sensitivities with respect to the points of opening curves, in the variants of a drive that have them
+
+SWING_OUTPUTS = ("swing_pressure_a", "swing_torque", "supply_flow")
+POINTS = (
+    *("valve_area", "valve_pa_opening_3", "valve_pa_opening_4", "valve_pa_command_3"),
+    *("valve_bt_opening_4", "valve_bt_command_1", "valve_bt_command_2"),
+)
+
+
+@pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
+def test_derivatives_by_points_are_those_of_differences(variant):
+    """A command that sweeps the first four points of P-A and B-T, at a speed that follows it."""
+    sub = swing.VARIANTS[variant]
+    numbers = values(sub)
+    for edge in EDGES:
+        numbers.p.update(numbers_of(edge))
+    model = CompiledModel(sub, SWING_OUTPUTS, POINTS, numbers, tolerance=1e-9)
+    time = np.linspace(0.0, 0.4, 41)
+    rows = np.tile([numbers.u[name] for name in model.inputs], (time.size, 1))
+    rows[:, model.inputs.index("swing_command")] = 4.5 * time / 0.4
+    rows[:, model.inputs.index("swing_speed")] = 0.2 * (time / 0.4) ** 2
+
+    def simulated(p, sensitivities=False):
+        x, _ = model.start(p, rows[0])
+        return model.segment(x, p, time, rows, sensitivities)
+
+    exact = simulated(model.p0, sensitivities=True).y_p
+    for j, name in enumerate(POINTS):
+        step = 1e-4 * model.p0[j]
+        change = step * (np.arange(len(POINTS)) == j)
+        ahead, behind = (simulated(model.p0 + sign * change).y for sign in (1, -1))
+        difference = (ahead - behind) / (2 * step)
+        scale = np.abs(difference).max(axis=0)
+        assert (scale > 0).all(), name
+        # the error of the difference, with kinks of the second derivative at the points
+        assert (np.abs(exact[:, :, j] - difference).max(axis=0) < 1e-3 * scale).all(), name
