@@ -61,12 +61,8 @@ def joint(model: JointModel) -> str:
     link = replace(model.link(p), **model.body(p))
     of = turn.swing if model.motor else getattr(arm, model.name)
     if model.motor:
-        part, valve, line, inertia = (
-            "swing",
-            turn.valve,
-            of.line,
-            link.inertia[2:3] * 3,
-        )  # only that about z counts
+        inertia = link.inertia[2:3] * 3  # only that about z counts
+        part, valve, line = "swing", turn.valve, of.line
         drive = {"motor": inline(displacement=of.motor_displacement, ratio=of.gear_ratio)}
     else:
         part, valve, line, inertia = "boom_stick", arm.valve, of.hose, link.inertia[:3]
