@@ -22,7 +22,7 @@ from fmus.components.spool_valve import Valve
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities
 from fmus.controller.arm import COUNTER, Arm, Centring, ControlledAxis
 from fmus.controller.model import FILE, controller_of, controller_tables
-from fmus.crane.check import check
+from fmus.crane.axes import axes_of
 from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import TEXTS, crane_tip, joint_model, numbers_of
 from fmus.drives import cylinder, motor
@@ -131,7 +131,7 @@ def gains_of(crane: CraneDescription, arm: Arm, pose: Mapping[str, float]) -> di
 
     pose   outputs of the manipulator at its start
     """
-    axes = {a.joint.name: a for a in check(crane, pose)}
+    axes = {a.joint.name: a for a in axes_of(crane, pose)}
     turn, *pistons = (axes[a.name] for a in arm.axes)
     low, own = (2 * math.pi * f for f in (min(a.mode for a in pistons), turn.mode))
     name, k, of_column = turn.joint.name, low / 4, own / 4

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from fmus.contract import column
-from fmus.crane.check import SUPPLIES, AxisCheck, Speeds
+from fmus.crane.axes import SUPPLIES, AxisCheck, Speeds
 from fmus.crane.description import CraneDescription
 from fmus.crane.machine import drives, with_pressures
 from fmus.crane.manipulator import manipulator

@@ -20,7 +20,7 @@ import numpy as np
 from lxml import etree
 from scipy.spatial.transform import Rotation
 
-from fmus.crane.check import AxisCheck
+from fmus.crane.axes import AxisCheck
 from fmus.crane.description import INERTIAS, MOST_JOINTS, SYMMETRIC, CraneDescription, JointDescription
 from orchestrator.base.errors import Mistakes, Problem, one_line
 from orchestrator.base.files import Location, write_whole

@@ -33,7 +33,8 @@ def crane(
     drawing   With check: picture (.png) of the working range, coloured by the load that can be held.
     """
     require("build", "harvester crane")
-    from fmus.crane.check import capacity, check, table
+    from fmus.crane.axes import capacity
+    from fmus.crane.check import check, table
     from fmus.crane.check import drawing as drawn
     from fmus.crane.description import new, read
     from fmus.crane.speeds import full_speeds

@@ -20,7 +20,8 @@ from kit.properties import examples
 
 from fmus.components.chain import Payload
 from fmus.contract import Quantity, nested, quantities
-from fmus.crane.check import Capacity, capacity, check, lifting_moment
+from fmus.crane.axes import Capacity, capacity, lifting_moment
+from fmus.crane.check import check
 from fmus.crane.check import table as text_of
 from fmus.crane.controller import controller
 from fmus.crane.description import NEW, new, read

@@ -8,7 +8,8 @@ import pytest
 from kit import shards
 from kit.planar_cranes import GRAVITY, described, draw, largest
 
-from fmus.crane.check import capacity, check, table
+from fmus.crane.axes import capacity
+from fmus.crane.check import check, table
 from fmus.crane.description import read
 
 # two joints, three, two and a telescope, four

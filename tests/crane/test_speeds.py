@@ -8,11 +8,12 @@ from kit import shards
 from kit.cranes import changed, crane
 from scipy.optimize import brentq
 
-from fmus.crane.check import check, outputs_at_start
+from fmus.crane.check import check
 from fmus.crane.description import NEW, read
 from fmus.crane.machine import crane_build
 from fmus.crane.manipulator import manipulator
 from fmus.crane.speeds import full_speeds
+from fmus.machine.poses import outputs_at_start
 from orchestrator import run
 
 STROKE = 'stroke = "610 mm"'

@@ -13,7 +13,8 @@ from kit.mistakes import problem
 
 from fmus.components.chain import Chain
 from fmus.contract import nested
-from fmus.crane.check import capacity, check
+from fmus.crane.axes import capacity
+from fmus.crane.check import check
 from fmus.crane.description import read
 from fmus.crane.manipulator import manipulator
 from fmus.crane.urdf import export, imported

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.crane.check import AxisCheck, check
+from fmus.crane.axes import AxisCheck
+from fmus.crane.check import check
 from fmus.crane.description import CraneDescription, read
 from fmus.crane.machine import crane_machine
 from fmus.machine.machine import Machine, wiring
