@@ -52,4 +52,4 @@ variants = partial(variants_of, "boom_stick", AXES, VALUES, TEXTS)
 VARIANTS = variants()
 BOOM_STICK = VARIANTS["lumped"]
 
-__all__ = ["BOOM_STICK", "VARIANTS", "variants"]
+__all__ = ["BOOM_STICK", "VARIANTS"]

@@ -55,4 +55,4 @@ variants = partial(variants_of, "swing", AXES, VALUES, TEXTS)
 VARIANTS = variants()
 SWING = VARIANTS["lumped"]
 
-__all__ = ["SWING", "VARIANTS", "variants"]
+__all__ = ["SWING", "VARIANTS"]

@@ -157,7 +157,6 @@ class Result(Mapping[str, NDArray[np.float64]]):
         """
         if self.errors is None:
             return None
-
         near = {n: np.pad(np.abs(e), NEARBY) for n, e in self.errors.signals.items()}
         signals = {name: BAND * largest(values, 2 * NEARBY + 1) for name, values in near.items()}
         return Trace(self.errors.time, signals, self.errors.units).at(self.trace.time)

@@ -72,11 +72,9 @@ def test_the_command_writes_what_it_has(quick, tmp_path, capsys):
     quick.setattr(pipeline, "refine_together", interrupt)
     for name, value in {
         "read_folder": lambda _: [VALVE, MACHINE],
-        "quality": lambda _: None,
+        "prepared": lambda r: (r, None),
         "faults": lambda _: [],
         "unused_files": lambda *_: [],
-        "resample_uniformly": lambda r: r,
-        "downsample": lambda r: r,
     }.items():
         quick.setattr(command, name, value)
     Path("mine").mkdir()

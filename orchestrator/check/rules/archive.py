@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import PurePosixPath
 
+from orchestrator.base.errors import one_line
 from orchestrator.base.files import why_unsafe
 from orchestrator.base.xml import child, children, local_name
 from orchestrator.check.finding import Finding, error, join_names, note, warning
@@ -15,6 +16,7 @@ from orchestrator.check.subject import DESCRIPTION, Subject, read_xml
 
 FOLDERS = ("documentation", "sources", "binaries", "resources", "extra", "terminalsAndIcons")
 MAX_PATH = 150  # characters; the limit of Windows, 260, includes the temporary folder and the name of the FMU
+LONGEST_NAMES = 300  # characters that a finding quotes of names in the archive
 
 
 def opening(subject: Subject, rule: str) -> Iterator[Finding]:
@@ -39,7 +41,7 @@ def archive_description(subject: Subject) -> Iterator[str]:
     names = {n: PurePosixPath(n.replace("\\", "/")).name for n in subject.names}
     elsewhere = [n for n, name in names.items() if name.lower() == DESCRIPTION.lower()]
     got = elsewhere[0] if elsewhere else ", ".join(subject.names[:5]) or "an empty archive"
-    yield f"expected {DESCRIPTION} at the top of the archive, got {got}"
+    yield f"expected {DESCRIPTION} at the top of the archive, got {one_line(got, LONGEST_NAMES)}"
 
 
 def archive_path(subject: Subject) -> Iterator[str]:
