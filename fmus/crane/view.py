@@ -29,6 +29,7 @@ LEAST = 0.09  # m, of a beam
 BRACKET = 0.16  # m, half the foot of a bracket
 NEAR = 0.06  # m: a pin so near to the line of its beam has no bracket
 PEDESTAL = 0.3  # m, radius
+RELIEVED, STOPPED = 1.7e-5, 1e3  # m3/s of a relief valve, N of a stop, from which a gauge tells so
 HERE = np.zeros(3)
 # of the camera and the point that it looks at, over the reach
 VIEWS = {
@@ -83,7 +84,7 @@ def _toml(value: Any) -> str:
 def description(crane: CraneDescription) -> dict[str, Any]:
     """The content of the file."""
     pressure = crane.numbers["supply"]["pressure_setting"].value
-    most = math.ceil(1.2e-6 * pressure)  # MPa, end of scales
+    most = 10 * math.ceil(1.2e-6 * pressure)  # bar, end of scales
     controls = _levers(crane)
     driven = [n for mode in controls["modes"].values() for full in mode["full"].values() for n in full]
     axes = [
@@ -91,18 +92,13 @@ def description(crane: CraneDescription) -> dict[str, Any]:
         for j in crane.driven
     ]
     return {
-        "full_pressure": 1e6 * most,
+        "full_pressure": 1e5 * most,
         "signals": [f"tip_{n}" for n in "xy"],
         "axes": axes + (TIP_AXES if "tip" in controls["modes"] else []),
         "sliders": [PAYLOAD],
         **controls,
         "gauges": _gauges(crane, most),
         "charts": _charts(crane, most),
-        "notices": [
-            {"name": f"{j.name}_stop_force", "above": 1e3, "text": f"the {j.name} is at an end of its stroke"}
-            for j in crane.driven
-            if j.cylinder
-        ],
         "scene": _scene(crane),
     }
 
@@ -154,20 +150,32 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
     return {"functions": words, "patterns": hands, "modes": modes}
 
 
-def _line(name: str, text: str, unit: str, **scale: float) -> dict[str, Any]:
-    return {"name": name, "text": text, "unit": unit, **scale}
+def _line(name: str, text: str, unit: str, **more: Any) -> dict[str, Any]:
+    return {"name": name, "text": text, "unit": unit, **more}
+
+
+def _told(name: str, above: float, text: str) -> list[dict[str, Any]]:
+    return [{"name": name, "above": above, "text": text}]
 
 
 def _gauges(crane: CraneDescription, most: int) -> list[dict[str, Any]]:
+    """Pressures, motion, power. Only some drives have the flow of relief valves as an output."""
+    bar = {"unit": "bar", "high": most, "digits": 0}
     pressures = [
-        _line(f"{j.name}_{end}", f"{j.name.capitalize()}, {text}", "MPa", high=most)
+        _line(f"{j.name}_{end}", f"{j.name.capitalize()}, {text}", **bar, told=told)
         for j in crane.driven
-        for end, text in _ends(j)
+        for (end, text), told in zip(
+            _ends(j), (_told(f"{j.name}_relief_flow", RELIEVED, "relief open"), []), strict=True
+        )
     ]
+    angle, length = {"unit": "°", "low": -180, "high": 180, "digits": 0}, {"unit": "m", "digits": 2}
     motion = [
-        _line(j.coordinate, j.name.capitalize(), "°", low=-180, high=180, digits=0)
-        if j.revolute
-        else _line(j.coordinate, j.name.capitalize(), "m", digits=2)
+        _line(
+            j.coordinate,
+            j.name.capitalize(),
+            **(angle if j.revolute else length),
+            told=_told(f"{j.name}_stop_force", STOPPED, "end of stroke") if j.cylinder else [],
+        )
         for j in crane.joints
         if not j.follows
     ]
@@ -177,7 +185,7 @@ def _gauges(crane: CraneDescription, most: int) -> list[dict[str, Any]]:
         _line("held_mass", "Load", "kg", high=1000, digits=0),
     ]
     return [
-        {"title": "Pressure", "lines": [_line("supply_pressure", "Supply", "MPa", high=most), *pressures]},
+        {"title": "Pressure", "lines": [_line("supply_pressure", "Supply", **bar), *pressures]},
         {"title": "Motion", "lines": motion + tip},
         {"title": "Power", "lines": [_line("supply_flow", "Flow", "L/min", high=300, digits=0)]},
     ]
@@ -196,7 +204,7 @@ def _charts(crane: CraneDescription, most: int) -> list[dict[str, Any]]:
         for j, curve in zip(crane.driven, curves("pressure"), strict=True)
         for (end, text), dashed in zip(_ends(j), (False, True), strict=True)
     ]
-    scale = {"unit": "MPa", "ends": [most, 2 * most, 4 * most], "both": False}
+    scale = {"unit": "bar", "ends": [most, 2 * most, 4 * most], "both": False}
     speeds = [("revolute", "°/s", [20, 40, 80, 160]), ("prismatic", "m/s", [0.2, 0.5, 1, 2])]
     return [
         {"title": "Pressure", **scale, "curves": pressures},

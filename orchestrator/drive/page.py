@@ -200,8 +200,7 @@ def page_data(description: ViewDescription, values: Values | None) -> dict[str, 
         "joints": scene.signals if scene else (),
         "pressures": dict(scene.pressures) if scene else {},
         "gauges": [
-            {"title": group.title, "lines": [_shown(g) | {"coloured": g.is_pressure} for g in group.lines]}
-            for group in description.gauges
+            {"title": group.title, "lines": list(map(_shown, group.lines))} for group in description.gauges
         ],
         "cavitation": CAVITATION,
         "charts": list(map(_shown, description.charts)),
@@ -234,9 +233,14 @@ def replay_data(
 
 
 def _shown(part: Any) -> dict[str, Any]:
-    """A gauge, chart or slider, with the factors from the FMU's unit to the displayed and the SI unit."""
+    """A gauge, chart or slider, with the factors from the FMU's unit to the displayed and the SI unit.
+
+    pressure   in Pa, the displayed unit; 0 of other quantities
+    """
     si = parse_unit(part.fmu_unit).factor if part.fmu_unit else 1.0
-    return asdict(part) | {"factor": scale(part.unit, part.fmu_unit), "si": si}
+    unit = parse_unit(part.unit)
+    pressure = unit.factor if unit.base() == parse_unit("Pa").base() else 0.0
+    return asdict(part) | {"factor": scale(part.unit, part.fmu_unit), "si": si, "pressure": pressure}
 
 
 def _fmu(description: ViewDescription, fmu: System, system: System) -> dict[str, Any]:

@@ -92,11 +92,21 @@ class DriveMode:
 
 
 @dataclass(frozen=True)
+class Notice:
+    """A text that is shown while the magnitude of a signal is above a value, in the unit of the FMU."""
+
+    name: str
+    above: float
+    text: str
+
+
+@dataclass(frozen=True)
 class Gauge:
     """One gauge: a signal, its label, the displayed unit, and the range of its bar.
 
     high       None: the bar grows with the largest value that the page has seen
     fmu_unit   unit of the values; default: the SI unit
+    told       words in place of the unit, such as "end of stroke", by other signals
     """
 
     name: str
@@ -106,16 +116,12 @@ class Gauge:
     low: float = 0.0
     digits: int = 1
     fmu_unit: str = ""
+    told: tuple[Notice, ...] = ()
 
     def __post_init__(self) -> None:
         scale(self.unit, self.fmu_unit, f"gauge {self.name}")
         if self.high is not None and not self.high > self.low:
             raise Problem(f"gauge {self.name}: expected an end above {self.low:g}, got {self.high:g}")
-
-    @property
-    def is_pressure(self) -> bool:
-        """Is it a pressure? Then the bar has the colour of the pressure."""
-        return parse_unit(self.unit).base() == parse_unit("Pa").base()
 
 
 @dataclass(frozen=True)
@@ -194,15 +200,6 @@ class Slider:
 
 
 @dataclass(frozen=True)
-class Notice:
-    """A text that is shown while the magnitude of a signal is above a value, in the unit of the FMU."""
-
-    name: str
-    above: float
-    text: str
-
-
-@dataclass(frozen=True)
 class Slowed:
     """Why the machine is slower than commanded, in the status line under `title`. Names are signals.
 
@@ -267,10 +264,9 @@ class ViewDescription:
         """All signals that the page uses, in the order in which they are recorded."""
         scene = self.scene
         drawn = (*scene.signals, *scene.pressures.values()) if scene else ()
-        gauges = (line.name for group in self.gauges for line in group.lines)
-        return tuple(
-            dict.fromkeys((*drawn, *gauges, *self.curves, *(n.name for n in self.notices), *self.signals))
-        )
+        lines = [line for group in self.gauges for line in group.lines]
+        told = (notice.name for notice in (*self.notices, *(n for line in lines for n in line.told)))
+        return tuple(dict.fromkeys((*drawn, *(g.name for g in lines), *self.curves, *told, *self.signals)))
 
     def driven(self, system: System) -> Mapping[str, DrivenInput]:
         """Inputs that an operator drives, by name: those in the file, and the free inputs that have a slider.

@@ -35,7 +35,7 @@ def test_figures(script: Any) -> None:
         return script("panels", "m.figure(a[0], a[1] ?? NaN, a[2])", asked)
 
     supply = figure("supply_pressure", 20.68e6)
-    assert (supply["text"], supply["begin"], round(supply["end"], 3)) == ("20.7", 0.0, 0.827)
+    assert (supply["text"], supply["begin"], round(supply["end"], 3)) == ("207", 0.0, 0.827)
     swing = figure("swing_speed", math.radians(-30))
     assert swing["text"] == "\N{MINUS SIGN}30"
     assert (swing["begin"], swing["end"]) == pytest.approx((0.25, 0.5))
@@ -100,12 +100,32 @@ def test_what_holds_the_tip(script: Any, values: tuple[float, ...], told: str) -
     assert script("panels", "m.limit(a, {})", DATA["slowed"]) == "", "no controller"
 
 
-@pytest.mark.parametrize(("force", "shown"), [(0.0, []), (999.0, []), (-2e3, ["at an end"]), (None, [])])
-def test_an_end_of_stroke_is_noticed(script: Any, force: float | None, shown: list[str]) -> None:
-    """Above the value of the notice, of either sign; not without the signal."""
-    both = (("stop_force", 1e3, "at an end"), ("x", 0.0, "x"))
-    described = [dict(zip(("name", "above", "text"), one, strict=True)) for one in both]
-    assert script("panels", "m.notices(a[0], { stop_force: a[1] ?? NaN })", [described, force]) == shown
+@pytest.mark.parametrize(("force", "told"), [(0.0, ""), (999.0, ""), (-2e3, "at an end"), (None, "")])
+def test_an_end_of_stroke_is_told(script: Any, force: float | None, told: str) -> None:
+    """Beside the gauge, above the value that it states, of either sign; not without the signal."""
+    gauge = GAUGES["tip_radius"] | {"told": [{"name": "stop_force", "above": 1e3, "text": "at an end"}]}
+    asked = [gauge, CAVITATION, {"stop_force": force}]
+    assert script("panels", "m.figure(a[0], 3, a[1], a[2])", asked)["warning"] == told
+    assert script("panels", "m.notices(a[0].told, a[2])", asked) == ([told] if told else [])
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown", "end"), [("bar", "207", 250), ("MPa", "20.7", 25), ("psi", "3000", 3600)]
+)
+def test_pressures_in_another_unit(script: Any, unit: str, shown: str, end: float) -> None:
+    """Gauges, charts and sliders show the same pressure, 3000 psi by the definition of the pound; others stay."""
+    turned = script("panels", "m.inPressure(a[0], a[1])", [DATA, unit])
+    lines = {line["name"]: line for group in turned["gauges"] for line in group["lines"]}
+    found = script(
+        "panels", "m.figure(a[0], a[1], a[2])", [lines["supply_pressure"], 3000 * 6894.757, CAVITATION]
+    )
+    assert (found["text"], lines["supply_pressure"]["unit"]) == (shown, unit)
+    assert found["end"] == pytest.approx(0.8274, abs=1e-4), "3000 psi of 250 bar"
+    assert lines["swing_speed"] == GAUGES["swing_speed"]
+    chart = next(chart for chart in turned["charts"] if chart["pressure"])
+    assert (chart["ends"][0], chart["unit"]) == (end, unit)
+    slider = next(one for one in turned["sliders"] if one["name"] == "supply_pressure")
+    assert slider["high"] / slider["factor"] == pytest.approx(25e6)
 
 
 def test_history(script: Any) -> None:

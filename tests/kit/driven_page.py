@@ -72,7 +72,7 @@ def drive(page: Opened) -> None:
     keyboard.down("a")
     hold(page, "ArrowDown", 1.0)
     hold(page, "KeyW", 1.0)
-    page.page.get_by_label("Supply pressure").fill("15")
+    page.page.get_by_label("Supply pressure").fill("150")
     page.page.locator(".hm-stage").focus()
     hold(page, "s", 1.5)
     page.until("s.source.time > 6")

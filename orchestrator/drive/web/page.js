@@ -11,7 +11,7 @@
 import { Charts } from "drive/charts.js";
 import { Findings } from "drive/findings.js";
 import { Levers, WHEEL_BUTTONS, WHEEL_KEYS, elsewhere, readGamepad } from "drive/levers.js";
-import { Gauges, Pace, Sliders, StatusLine, UNHEARD, colour, make, notices, write } from "drive/panels.js";
+import { Gauges, Pace, Sliders, StatusLine, UNHEARD, colour, inPressure, make, notices, write } from "drive/panels.js";
 import { Scene } from "drive/scene.js";
 import { TaskPanel, rings } from "drive/task.js";
 
@@ -53,6 +53,7 @@ export class Page {
     this.at = (name) => root.querySelector(`.hm-${name}`);
     this.shared = Boolean(sources.live);
     [this.running, this.pace, this.line] = [false, new Pace(), new StatusLine(this.at("cells"))];
+    this.unit = "bar"; // of pressures
     this.onlost = () => {}; // of a dialog that waits for an answer
     [this.refused, this.said, this.jumped, this.slowed] = [-Infinity, 0, -1, false];
     for (const one of root.querySelectorAll(this.shared ? ".hm-own" : ".hm-shared")) one.hidden = true;
@@ -72,16 +73,29 @@ export class Page {
     const drawing = JSON.stringify(data.scene);
     if (drawing !== this.drawing) [this.drawing] = [drawing, this.draw(data.scene)];
     this.data = data;
-    this.gauges = new Gauges(this.at("panel"), data, names);
+    this.numbers(names);
     this.findings = new Findings(this.at("findings"), data.findings ?? [], data.forget, (name, value) => this.source.set(name, value));
-    this.charts?.close();
-    this.charts = new Charts(this.at("charts"), data.charts, names);
     const driven = this.sources.drive ?? this.sources.live;
-    this.sliders = driven && new Sliders(this.at("sliders"), driven.sliders, (name, value) => this.slide(name, value), (name) => driven.input(name));
     const scored = (driven ?? this.sources.replay).task && data.scene && data.task.needed.length && data.task.needed.every((name) => names.has(name));
     this.at("training").hidden = !scored;
     if (scored && JSON.stringify(data.task) !== JSON.stringify(this.task?.rules)) this.task = new TaskPanel(this.at("task"), data.task, (what, value) => this.asked(what, value));
     this.jumped = -1;
+  }
+
+  // gauges, charts and sliders, with pressures in the unit that is chosen
+  numbers(names) {
+    const [driven, data] = [this.sources.drive ?? this.sources.live, inPressure(this.data, this.unit)];
+    const choose = (unit) => {
+      this.unit = unit;
+      this.numbers(names);
+      this.panels();
+      this.at("panel").querySelector("select").focus();
+    };
+    this.gauges = new Gauges(this.at("panel"), data, names, this.unit, choose);
+    this.charts?.close();
+    this.charts = new Charts(this.at("charts"), data.charts, names);
+    const { sliders } = driven ? inPressure({ ...data, sliders: driven.sliders }, this.unit) : {};
+    this.sliders = driven && new Sliders(this.at("sliders"), sliders, (name, value) => this.slide(name, value), (name) => driven.input(name));
   }
 
   // the picture of a machine, with its views; without WebGL the page is that of a machine that has none
@@ -466,7 +480,7 @@ export class Page {
     this.task?.show(status);
     this.scene?.mark(this.task?.open && status ? rings(this.data.task, status) : []);
     this.times();
-    this.pace.look(source.time, state === "running", [this.mode, source.jumps, this.at("speed").value].join());
+    this.pace.look(source.time, state === "running", [this.mode, source.jumps, this.at("speed").value].join(), source.framed);
     const { timing, message, able } = { able: source.able, ...source.info };
     const { values, time, drives } = source;
     this.line.show({ state, time, values, slowed: this.data.slowed, drives, timing, message, able, factor: this.pace.factor });

@@ -6,6 +6,8 @@ const MISSED = 0.005; // fraction of missed frames that is still good
 const FULL = 0.9; // fraction of the commanded speed that counts as full speed
 const LEAST = { low: 0, high: 1e-3, digits: 1 }; // of a bar that grows, in the displayed unit
 const DRIVEN = 0.5; // value, 0 to 1, above which a controller drives
+export const PRESSURES = { bar: 1e5, MPa: 1e6, psi: 6894.757293168 }; // Pa
+const GAUGE_DIGITS = 2; // of an axis in another unit of pressure
 export const UNHEARD = "no connection: trying again"; // state of a machine whose server is silent
 const TONES = { running: "good", failed: "bad", [UNHEARD]: "bad" };
 
@@ -28,14 +30,31 @@ export function colour({ scale, unknown, full }, pressure) {
   return scale[Math.round(Math.min(1, Math.max(0, pressure / full)) * (scale.length - 1))];
 }
 
+// the description of a page with its pressures in another unit: gauges, charts and sliders
+export function inPressure(data, unit) {
+  const turn = (part) => {
+    if (!part.pressure || part.unit === unit) return part;
+    const ratio = part.pressure / PRESSURES[unit];
+    const to = (value) => value && value * ratio;
+    const round = (value) => Number((value * ratio).toPrecision(GAUGE_DIGITS));
+    const turned = { ...part, unit, pressure: PRESSURES[unit], factor: to(part.factor), low: to(part.low), high: to(part.high), step: to(part.step) };
+    if (part.ends) turned.ends = part.ends.map(round);
+    if ("digits" in part) turned.digits = Math.max(0, part.digits - Math.round(Math.log10(ratio)));
+    return turned;
+  };
+  const gauges = data.gauges.map((group) => ({ ...group, lines: group.lines.map(turn) }));
+  return { ...data, gauges, charts: data.charts.map(turn), sliders: data.sliders.map(turn) };
+}
+
 // a value in the unit of its gauge, begin and end of the bar as fractions of its length, and a warning or empty
-export function figure(gauge, value, cavitation) {
+export function figure(gauge, value, cavitation, values = {}) {
   const share = (shown) => Math.min(1, Math.max(0, (shown - gauge.low) / (gauge.high - gauge.low)));
   const shown = value * gauge.factor;
   if (!Number.isFinite(shown)) return { text: "–", begin: share(0), end: share(0), warning: "" };
   const [begin, end] = [share(0), share(shown)].sort((a, b) => a - b);
   const text = shown.toFixed(gauge.digits).replace(/^-(?=0(\.0*)?$)/, "").replace("-", "−");
-  return { text, begin, end, warning: gauge.coloured && value * (gauge.si ?? 1) < cavitation ? "cavitates" : "" };
+  const [told = ""] = notices(gauge.told ?? [], values);
+  return { text, begin, end, warning: gauge.pressure && value * (gauge.si ?? 1) < cavitation ? "cavitates" : told };
 }
 
 // Ends of a bar that grows: all values so far are between them. From zero, until one is negative, to 1, 2 or 5 times a
@@ -49,7 +68,8 @@ export function grown(ends, shown) {
 }
 
 export class Gauges {
-  constructor(place, data, names) {
+  // onunit: called with another unit of pressure
+  constructor(place, data, names, unit, onunit) {
     [this.data, this.lines] = [data, []];
     place.replaceChildren();
     for (const { title, lines } of data.gauges) {
@@ -58,10 +78,14 @@ export class Gauges {
       const heading = make("p", { className: "hm-title", textContent: title });
       place.append(make("div", { className: "hm-group" }, heading, ...present.map((line) => this.line(line))));
     }
-    if (!this.lines.some(({ gauge }) => gauge.coloured)) return;
+    if (!this.lines.some(({ gauge }) => gauge.pressure)) return;
     const bar = make("div", { style: `background: linear-gradient(to right, ${data.scale.join()})` });
-    const ends = ["0", "chamber pressure", `${data.full / 1e6} MPa`].map((textContent) => make("span", { textContent }));
-    if (data.scene) place.append(make("div", { className: "hm-legend" }, bar, ...ends));
+    const choice = make("select", { ariaLabel: "Unit of pressure" }, ...Object.keys(PRESSURES).map((textContent) => make("option", { textContent })));
+    choice.value = unit;
+    choice.addEventListener("change", () => onunit(choice.value));
+    const full = make("span", {}, `${Math.round(data.full / PRESSURES[unit])} `, choice);
+    if (data.scene) place.append(make("div", { className: "hm-legend" }, bar, make("span", { textContent: "0" }), make("span", { textContent: "chamber pressure" }), full));
+    else place.append(make("label", { className: "hm-legend" }, make("span", { textContent: "pressure in" }), choice));
   }
 
   line(gauge) {
@@ -88,12 +112,12 @@ export class Gauges {
       const { gauge, bar, output, unit, row } = line;
       const value = values[gauge.name] ?? NaN;
       if (gauge.high === null) this.fit(line, grown(line.ends, value * gauge.factor));
-      const { text, begin, end, warning } = figure({ ...gauge, ...line.ends }, value, this.data.cavitation);
+      const { text, begin, end, warning } = figure({ ...gauge, ...line.ends }, value, this.data.cavitation, values);
       write(output, text);
       bar.style.transform = `translateX(${(100 * begin).toFixed(1)}%) scaleX(${(end - begin).toFixed(3)})`;
-      row.classList.toggle("hm-cavitates", Boolean(warning));
+      row.classList.toggle("hm-warned", Boolean(warning));
       write(unit, warning || gauge.unit);
-      if (gauge.coloured) bar.style.background = colour(this.data, value * gauge.si);
+      if (gauge.pressure) bar.style.background = colour(this.data, value * gauge.si);
     }
   }
 }
@@ -152,11 +176,12 @@ export class Pace {
   }
 
   // motion: another one, as after a jump or at another speed, is measured anew
-  look(t, running, motion = "") {
+  // at: when t was heard, in ms
+  look(t, running, motion = "", at = this.now()) {
     if (!running || motion !== this.motion || (this.seen.length && t < this.seen[this.seen.length - 1][1])) this.seen = [];
     this.motion = motion;
-    if (running) this.seen.push([this.now(), t]);
-    while (this.seen.length && this.now() - this.seen[0][0] > SPAN) this.seen.shift();
+    if (running) this.seen.push([at, t]);
+    while (this.seen.length && at - this.seen[0][0] > SPAN) this.seen.shift();
   }
 
   get factor() {

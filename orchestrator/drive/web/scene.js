@@ -7,6 +7,9 @@ const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const LAYERS = [0, 1, 2]; // of the branches of a tree
 const FIELD = 34; // degrees
 const TIP = "tip"; // the view that follows the tip
+const EDGE = 0.9; // share of the half picture that the machine may fill before the camera moves away
+const AWAY = 0.04; // share of the distance by which it moves in a picture, at most
+const FARTHEST = 3; // of the distance that the view begins with
 
 export class Scene {
   constructor(place, data, ghost = false) {
@@ -17,6 +20,7 @@ export class Scene {
     place.replaceChildren(renderer.domElement);
     const controls = new THREE.OrbitControls(camera, renderer.domElement);
     this.stage = { renderer, camera, controls, element: place, scene: new THREE.Scene() };
+    controls.addEventListener("start", () => (this.kept = false)); // the visitor has the camera
     this.brush = new Brush(this.stage);
     this.scheme = dark(place) ? "dark" : "light";
     const { machine, shade } = data;
@@ -93,7 +97,23 @@ export class Scene {
       this.stage.controls.target.set(...target);
       this.stage.controls.update();
     }
+    [this.kept, this.distance] = [true, this.stage.controls.getDistance()];
     this.brush.redraw();
+  }
+
+  // the camera moves away while a joint or the tip is near the edge of the picture
+  keep() {
+    const { camera, controls } = this.stage;
+    if (!this.kept || controls.getDistance() > FARTHEST * this.distance) return;
+    camera.updateMatrixWorld();
+    const share = Math.max(...this.rig.points.map((point) => {
+      const seen = point.clone().project(camera);
+      return seen.z > 1 ? 0 : Math.max(Math.abs(seen.x), Math.abs(seen.y)); // behind the camera: as in a cab
+    }));
+    if (share <= EDGE) return;
+    const factor = Math.min(share / EDGE, 1 + AWAY);
+    camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
+    controls.update();
   }
 
   fit() {
@@ -110,6 +130,7 @@ export class Scene {
     const changed = Object.entries(colours).filter(([name, colour]) => this.colours[name] !== colour);
     this.colours = { ...colours };
     this.rig.show(angles, Object.fromEntries(changed), again);
+    this.keep();
     if (this.ghost) this.ghost.root.visible = Boolean(reference);
     if (reference) this.ghost?.show(reference, {}, true);
     this.brush.redraw();

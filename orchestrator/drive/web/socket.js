@@ -31,7 +31,7 @@ export class SocketSource {
     if (data.hello) this.begin(data.hello);
     if ("jump" in data) this.jump(data.jump);
     for (const [number, first, second] of data.bins ?? []) this.history.put(number, first, second);
-    if (data.frame) this.show(data.frame);
+    if (data.frame) [this.framed] = [data.heard, this.show(data.frame)];
     if (data.info) {
       this.info = data.info;
       this.oninfo();
