@@ -160,7 +160,7 @@ def _told(name: str, above: float, text: str) -> list[dict[str, Any]]:
 
 def _gauges(crane: CraneDescription, most: int) -> list[dict[str, Any]]:
     """Pressures, motion, power. Only some drives have the flow of relief valves as an output."""
-    bar = {"unit": "bar", "high": most, "digits": 0}
+    bar: dict[str, Any] = {"unit": "bar", "high": most, "digits": 0}
     pressures = [
         _line(f"{j.name}_{end}", f"{j.name.capitalize()}, {text}", **bar, told=told)
         for j in crane.driven
@@ -168,7 +168,8 @@ def _gauges(crane: CraneDescription, most: int) -> list[dict[str, Any]]:
             _ends(j), (_told(f"{j.name}_relief_flow", RELIEVED, "relief open"), []), strict=True
         )
     ]
-    angle, length = {"unit": "°", "low": -180, "high": 180, "digits": 0}, {"unit": "m", "digits": 2}
+    length: dict[str, Any] = {"unit": "m", "digits": 2}
+    angle: dict[str, Any] = {"unit": "°", "low": -180, "high": 180, "digits": 0}
     motion = [
         _line(
             j.coordinate,

@@ -113,7 +113,7 @@ def test_an_end_of_stroke_is_told(script: Any, force: float | None, told: str) -
     ("unit", "shown", "end"), [("bar", "207", 250), ("MPa", "20.7", 25), ("psi", "3000", 3600)]
 )
 def test_pressures_in_another_unit(script: Any, unit: str, shown: str, end: float) -> None:
-    """Gauges, charts and sliders show the same pressure, 3000 psi by the definition of the pound; others stay."""
+    """Gauges, charts and sliders show the same pressure, 3000 psi by the pound's definition; others stay."""
     turned = script("panels", "m.inPressure(a[0], a[1])", [DATA, unit])
     lines = {line["name"]: line for group in turned["gauges"] for line in group["lines"]}
     found = script(
