@@ -61,6 +61,8 @@ NAVIGATION = {
         "docs/tutorials/first-run.md",
         "docs/tutorials/index.md",
         "examples/notebook/first_ten_minutes.ipynb",
+        "docs/troubles.md",
+        "docs/glossary.md",
         "CHANGELOG.md",
     ],
     "Tutorials": [
