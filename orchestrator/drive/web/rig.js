@@ -169,7 +169,7 @@ export class Rig {
       for (const one of this.bodies.get(name)) place.decompose(one.position, one.quaternion, one.scale);
     for (const [name, colour] of Object.entries(colours)) this.materials.get(name)?.color.set(colour);
     this.tip = tip;
-    this.points = [new THREE.Vector3(...tip), ...this.data.joints.map(({ body }) => new THREE.Vector3().setFromMatrixPosition(bodies.get(body)))];
+    this.points = [...this.data.joints.map(({ body }) => new THREE.Vector3().setFromMatrixPosition(bodies.get(body))), new THREE.Vector3(...tip)];
     this.follow(this.tip, again);
     if (this.tracked) this.shift(this.stage);
   }

@@ -97,20 +97,22 @@ export class Scene {
       this.stage.controls.target.set(...target);
       this.stage.controls.update();
     }
-    [this.kept, this.distance] = [true, this.stage.controls.getDistance()];
+    [this.kept, this.distance] = [name !== TIP, this.stage.controls.getDistance()];
     this.brush.redraw();
   }
 
-  // the camera moves away while a joint or the tip is near the edge of the picture
+  // the camera moves away while a joint or the tip is near the edge of a picture in which the first joint is; in the
+  // views from the cab and of the tip it is not
   keep() {
     const { camera, controls } = this.stage;
     if (!this.kept || controls.getDistance() > FARTHEST * this.distance) return;
     camera.updateMatrixWorld();
-    const share = Math.max(...this.rig.points.map((point) => {
+    const [first, ...others] = this.rig.points.map((point) => {
       const seen = point.clone().project(camera);
-      return seen.z > 1 ? 0 : Math.max(Math.abs(seen.x), Math.abs(seen.y)); // behind the camera: as in a cab
-    }));
-    if (share <= EDGE) return;
+      return Math.max(Math.abs(seen.x), Math.abs(seen.y));
+    });
+    const share = Math.max(...others);
+    if (first > EDGE || share <= EDGE) return;
     const factor = Math.min(share / EDGE, 1 + AWAY);
     camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
     controls.update();
