@@ -32,6 +32,7 @@ from orchestrator.base.extras import require
 from orchestrator.base.files import Location, csv_header, naming
 from orchestrator.base.processes import check_room
 from orchestrator.base.units import LinearTransformation
+from orchestrator.data.csv_text import rows_text
 from orchestrator.data.matlab import read_variables
 from orchestrator.data.table import read_columns
 from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, Units, check_suffix, read_trace
@@ -351,9 +352,8 @@ class _Csv:
         self._write(f"{csv_header([TIME, *names])}\n".encode())
 
     def append(self, times: Array, values: Array) -> None:
-        rows = np.column_stack([times, values]).tolist()
-        self._write("".join([",".join(map(repr, row)) + "\n" for row in rows]).encode())
-        self.end = rows[-1][0] if rows else self.end
+        self._write(rows_text(np.column_stack([times, values])))
+        self.end = float(times[-1]) if len(times) else self.end
 
     def _write(self, data: bytes) -> None:
         """Write all bytes or none."""
