@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
@@ -27,9 +27,8 @@ from orchestrator.fmi.description import (
 
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
 MAX_LISTED = 5  # unsupported variables in a note
-LONGEST_KEPT = (
-    1 << 20
-)  # bytes of a description whose interface is kept: 2500 variables, ten times as much in memory
+# bytes of a description whose interface is kept, 2500 variables, ten times as much in memory, and their number
+LONGEST_KEPT, MOST_KEPT = 1 << 20, 64
 # field of `FmuInterface` -> attribute of the interface type that declares it, in FMI 2.0 and in FMI 3.0
 CAPABILITIES = {
     "rollback": ("canGetAndSetFMUstate", "canGetAndSetFMUState"),
@@ -160,6 +159,7 @@ class FmuInterface:
         return f"left out: {'; '.join(entries[:MAX_LISTED])}{more}" if entries else ""
 
 
+_kept: dict[tuple[bytes, str], FmuInterface] = {}  # text of the description and kind -> interface
 SECOND_EXPONENTS = (0, 0, 1, 0, 0, 0, 0, 0)
 
 
@@ -169,16 +169,15 @@ def read_interface(fmu: Location, kind: str = "") -> FmuInterface:
     kind    CO_SIMULATION or MODEL_EXCHANGE; default: the first of them that the FMU has
 
     The last ones that were read are kept, but for very long descriptions: a command reads a system several
-    times, and a system may have an FMU several times.
+    times, and a system may have an FMU several times, also under different names.
     """
     text = fmu.member("modelDescription.xml").read(MAX_BYTES)
-    read = _kept_interface if len(text) <= LONGEST_KEPT else _read_interface
-    return read(fmu, text, kind)
-
-
-@lru_cache(maxsize=64)
-def _kept_interface(fmu: Location, text: bytes, kind: str) -> FmuInterface:
-    return _read_interface(fmu, text, kind)
+    interface = _kept.pop((text, kind), None) or _read_interface(fmu, text, kind)
+    if len(text) <= LONGEST_KEPT:
+        _kept[text, kind] = interface  # as the last one
+        for oldest in [*_kept][:-MOST_KEPT]:
+            _kept.pop(oldest, None)
+    return interface
 
 
 def _read_interface(fmu: Location, text: bytes, kind: str) -> FmuInterface:

@@ -26,7 +26,6 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any
 
-from orchestrator.base import files
 from orchestrator.base.processes import remove_folder
 from orchestrator.worker.calls import share_activity, share_calls
 from orchestrator.worker.wire import DISCONNECTED, packed
@@ -180,6 +179,8 @@ def forked(target: str, folder: Path, environment: Mapping[str, str], descriptor
 
     Its standard streams, session and working directory are those of the worker already.
     """
+    from orchestrator.base.files import own_folders
+
     try:
         for last, following in pairwise((2, *sorted(descriptors), os.sysconf("SC_OPEN_MAX"))):
             os.closerange(last + 1, following)
@@ -190,7 +191,7 @@ def forked(target: str, folder: Path, environment: Mapping[str, str], descriptor
             signal.signal(number, signal.SIG_IGN)
         if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-        files.own_folders()
+        own_folders()
         os.environ.clear()
         os.environ.update(environment)
         tempfile.tempdir = None
