@@ -94,7 +94,7 @@ class Library:
         self._functions: dict[str, Any] = {}
         self._threads = thread_count()
         with _one_at_a_time:
-            before = os.getcwd()  # noqa: PTH109  which takes a fifth of the time
+            before = os.getcwd()
             os.chdir(path.parent)  # some libraries search for other libraries in the working directory
             try:
                 with in_progress(name, fmi, LOADING):

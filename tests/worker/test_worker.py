@@ -53,7 +53,7 @@ def start(request, monkeypatch):
         worker.close()
 
 
-def test_nothing_of_the_parent_is_in_it(start, tmp_path, monkeypatch):
+def test_nothing_of_the_parent_is_in_it(start, tmp_path):
     """It has its own temporary folder, the handlers of a new program, and no other file than its own."""
     with (tmp_path / "open").open("w") as file:
         previous = signal.signal(signal.SIGTERM, lambda *_: None)
