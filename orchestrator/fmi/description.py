@@ -228,7 +228,7 @@ class FmuVariable(Entry):
         """Start values of a numeric variable."""
         return parse_numbers(self.start or "") if self.is_number else ()
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[float, float]:
         """Minimum and maximum of a numeric variable, infinite if not declared."""
         if not self.is_number:

@@ -115,6 +115,11 @@ class FmuInterface:
         """Mark of a variable in messages of FMUs -> its name."""
         return {v.mark: v.name for v in self.variables.values()}
 
+    @cached_property
+    def positions(self) -> dict[str, int]:
+        """Variable -> its position among all variables."""
+        return {name: k for k, name in enumerate(self.variables)}
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _unpickled, (self._pickled,)
 
@@ -157,7 +162,7 @@ class FmuInterface:
         exchange = self.kind == MODEL_EXCHANGE and (self.event_indicators > 0 or self.completed_step)
         return exchange or self.event_mode
 
-    @property
+    @cached_property
     def ramp_inputs(self) -> frozenset[str]:
         """Inputs whose time derivative can be set, so that they are ramps inside a step."""
         if self.can_interpolate_inputs:

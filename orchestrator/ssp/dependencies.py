@@ -63,7 +63,7 @@ T = TypeVar("T")
 
 
 def of_structure(function: Callable[Concatenate[System, P], T]) -> Callable[Concatenate[System, P], T]:
-    """A function of a system that follows from FMUs and connections, not from values; the last result is kept.
+    """A function of a system that follows from FMUs and connections, not from values: its last result stays.
 
     Of many runs of a system the first one finds what it needs, those in one process as those in another.
     """
