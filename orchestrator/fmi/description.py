@@ -235,7 +235,7 @@ class FmuVariable(Entry):
             return -math.inf, math.inf
         return float(self.get("min", "-inf")), float(self.get("max", "inf"))
 
-    @property
+    @cached_property
     def nominal(self) -> float | None:
         """The nominal value of a floating-point variable."""
         return self.number("nominal") if self.is_real else None

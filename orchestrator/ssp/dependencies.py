@@ -7,14 +7,13 @@ are first copied along the connections, and the loop is solved only if they do n
 (`engine/algebraic_loop.py`).
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import wraps
 from itertools import pairwise
-from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
+from orchestrator.ssp.structure import of_structure
 from orchestrator.ssp.system import Connection, Port, System
 
 MAX_CONNECTIONS = 6  # in a message
@@ -56,34 +55,6 @@ class OutputOrder:
     @property
     def count(self) -> int:
         return max((s[-1] for s in self.stages.values()), default=-1) + 1
-
-
-P = ParamSpec("P")
-T = TypeVar("T")
-
-
-def of_structure(function: Callable[Concatenate[System, P], T]) -> Callable[Concatenate[System, P], T]:
-    """A function of a system that follows from FMUs and connections, not from values: its last result stays.
-
-    Of many runs of a system the first one finds what it needs, those in one process as those in another.
-    """
-    last: list[tuple[Any, T]] = []
-
-    @wraps(function)
-    def kept(system: System, *arguments: P.args, **options: P.kwargs) -> T:
-        interfaces = [(name, component.interface) for name, component in system.components.items()]
-        made_of = interfaces, system.connections, arguments, options
-        for before, result in last:
-            same = len(before[0]) == len(interfaces) and all(
-                a[0] == b[0] and a[1] is b[1] for a, b in zip(before[0], interfaces, strict=True)
-            )
-            if same and before[1:] == made_of[1:]:
-                return result
-        result = function(system, *arguments, **options)
-        last[:] = [(made_of, result)]
-        return result
-
-    return kept
 
 
 @of_structure

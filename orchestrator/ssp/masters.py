@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import grouped
+from orchestrator.ssp.structure import of_structure
 
 if TYPE_CHECKING:
     from orchestrator.ssp.coupling import Coupling
@@ -131,6 +133,7 @@ class Plan:
         return self.estimates or (self.needs_slopes and not predicted)
 
 
+@of_structure
 def gauss_seidel_order(system: System) -> list[str]:
     """Names of the components in the order in which Gauss-Seidel steps them.
 
@@ -149,18 +152,17 @@ def gauss_seidel_order(system: System) -> list[str]:
         for u in c.interface.direct_inputs(y.name)
     }
     remaining, order = list(system.components), list[str]()
+    others = (c for c in system.connections if c.source.component != c.target.component)
+    incoming = grouped(others, lambda c: c.target.component)
 
     def waiting_inputs(name: str) -> tuple[int, int, int, bool]:
-        targets = [
-            c.target
-            for c in system.connections
-            if c.target.component == name and c.source.component in remaining and c.source.component != name
-        ]
+        targets = [c.target for c in incoming.get(name, ()) if c.source.component in waiting]
         interpolates = bool(system.components[name].interface.ramp_inputs)
         direct = with_feedthrough.intersection(targets)
         return len(direct - with_rate), len(direct), len(targets), interpolates
 
     while remaining:
+        waiting = {*remaining}
         order.append(min(remaining, key=waiting_inputs))
         remaining.remove(order[-1])
     return order

@@ -117,7 +117,7 @@ def new_slot(label: str, fmi: int) -> CallSlot:
 def free_slot(slot: CallSlot) -> CallSlot:
     """Free a slot, which may become that of another instance; returns a copy."""
     slot.function = slot.fmi = 0
-    if slot._b_base_ is _slots:  # type: ignore[attr-defined]
+    if slot._b_base_ is _slots:
         _free.append(slot)
     return CallSlot.from_buffer_copy(slot)
 
