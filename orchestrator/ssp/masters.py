@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import grouped
 from orchestrator.ssp.structure import of_structure
 
 if TYPE_CHECKING:
@@ -152,11 +151,13 @@ def gauss_seidel_order(system: System) -> list[str]:
         for u in c.interface.direct_inputs(y.name)
     }
     remaining, order = list(system.components), list[str]()
-    others = (c for c in system.connections if c.source.component != c.target.component)
-    incoming = grouped(others, lambda c: c.target.component)
+    incoming: dict[str, list[Connection]] = {name: [] for name in remaining}
+    for c in system.connections:
+        if c.source.component != c.target.component:
+            incoming[c.target.component].append(c)
 
     def waiting_inputs(name: str) -> tuple[int, int, int, bool]:
-        targets = [c.target for c in incoming.get(name, ()) if c.source.component in waiting]
+        targets = [c.target for c in incoming[name] if c.source.component in waiting]
         interpolates = bool(system.components[name].interface.ramp_inputs)
         direct = with_feedthrough.intersection(targets)
         return len(direct - with_rate), len(direct), len(targets), interpolates
