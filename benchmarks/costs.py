@@ -90,9 +90,7 @@ def main() -> None:
                     found.append((time, spent(code, part)[0]))
                     if told := re.search(r"inside the FMUs ([\d.]+) s", text):
                         inside = float(told[1])
-            costs = [
-                (min(w for w, _ in found) - min(p for _, p in found)) / runs for found in times.values()
-            ]
+            costs = [(min(w for w, _ in found) - min(p for _, p in found)) / runs for found in times.values()]
             row = f"{label:<26}{costs[0]:>10.4f}" + "".join(
                 f"{cost:>11.4f}{costs[0] / cost:>8.2f}" for cost in costs[1:]
             )

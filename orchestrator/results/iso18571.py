@@ -24,7 +24,10 @@ INNER, OUTER = 0.05, 0.5  # half widths of the corridors, fractions of max |T|
 SHIFT = 0.2  # largest shift, fraction of N
 WINDOW = 0.1  # largest warping of time, fraction of N
 MAGNITUDE, SLOPE = 0.5, 2.0  # errors with rating 0
-NEARLY, SMALL = 1e-9, 1e-3  # differences of correlations, and parts of a variance, that are not computed again
+NEARLY, SMALL = (
+    1e-9,
+    1e-3,
+)  # differences of correlations, and parts of a variance, that are not computed again
 SMOOTH = 4  # samples on each side in the moving average
 
 
