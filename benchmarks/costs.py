@@ -2,8 +2,8 @@
 
     python -m benchmarks.costs [--against FOLDER] [--repeats 5] [--fmus 400]
 
-    prepared run       `run` of one step of a loaded system, with all that is before and after it: in a process
-                       of its own, and in the calling one
+    prepared run       `run` of one step of a loaded system, with all before and after it: in a process of its
+                       own, and in the calling one
     command run        `harvester run` for 10 ms: imports, system, FMUs, trace and metadata
     command validate   `harvester validate`, and as a multiple of the time inside the FMUs
     many FMUs          a chain of 400 FMUs from the path of the SSP to the end of its first step
@@ -53,7 +53,7 @@ def spent(code: Path, arguments: list[str]) -> tuple[float, str]:
 
 
 def cases(system: Path, many: Path, folder: Path) -> dict[str, tuple[list[str], list[str], int]]:
-    """Label -> arguments of a program, those of one whose time is no part of it, number of runs in between."""
+    """Label -> arguments of a program, those of one whose time is no part of it, number of runs."""
     result: dict[str, tuple[list[str], list[str], int]] = {}
     for label, isolate in (("isolated", True), ("in process", False)):
         programs = (

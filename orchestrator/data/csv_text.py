@@ -1,7 +1,6 @@
 """Rows of numbers as text of a CSV file: each the shortest decimal that is read back as the same float64.
 
-C does it, see native/csv_text.c. Where it can be neither found in the wheel nor compiled, Python's `repr`
-gives the same bytes in ten times the time.
+C does it, see native/csv_text.c, with the bytes of Python's `repr`, which takes ten times as long.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ FLAGS = (
 )
 LONGEST = 25  # characters of a value and its comma, such as -2.2250738585072014e-308
 POWERS = range(-292, 325)  # of ten, by which float64 values are scaled
-FEW = 1000  # values whose text takes Python less than loading the library
 
 
 def recipe(platform: str) -> tuple[str, dict[str, bytes], list[str]]:
@@ -35,15 +33,10 @@ def recipe(platform: str) -> tuple[str, dict[str, bytes], list[str]]:
     return name, {SOURCE.name: SOURCE.read_bytes()}, flags
 
 
-def rows_text(rows: NDArray[np.float64]) -> bytes:
-    """The lines of some rows, shape (rows, columns), each with its end."""
-    write = None if rows.size < FEW else _compiled()
-    return write(np.ascontiguousarray(rows, np.float64)) if write else by_repr(rows)
-
-
-def by_repr(rows: NDArray[np.float64]) -> bytes:
-    """The same lines by Python."""
-    return "".join([",".join(map(repr, row)) + "\n" for row in rows.tolist()]).encode()
+def rows_text(rows: NDArray[np.float64]) -> bytes | None:
+    """The lines of some rows, shape (rows, columns), each with its end; None without the library."""
+    write = _compiled()
+    return write(np.ascontiguousarray(rows, np.float64)) if write else None
 
 
 @cache

@@ -32,7 +32,6 @@ from orchestrator.base.extras import require
 from orchestrator.base.files import Location, csv_header, naming
 from orchestrator.base.processes import check_room
 from orchestrator.base.units import LinearTransformation
-from orchestrator.data.csv_text import rows_text
 from orchestrator.data.matlab import read_variables
 from orchestrator.data.table import read_columns
 from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, Units, check_suffix, read_trace
@@ -43,6 +42,7 @@ ORIGIN = "harvester"  # key of the JSON text about the run in the metadata of a 
 CHUNK = 8192  # rows of a trace written at a time
 PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group: 29 MB of 110 signals
 PART_TIME = 5.0  # [s] of wall time until rows are in a partial Parquet trace: what a kill may take
+MANY = 5000  # values whose text takes Python as long as loading the library that is faster
 MAX_KEPT = 32 << 20  # bytes that are kept in memory besides a file: 190 s of 110 signals every 5 ms
 
 
@@ -333,6 +333,21 @@ class TraceFile(TraceSink):
         if self._format is not None:
             with naming(self.partial):
                 self._format.close()
+
+
+def rows_text(rows: Array) -> bytes:
+    """Rows, shape (rows, columns), as lines of a CSV file."""
+    text = None
+    if rows.size >= MANY:
+        from orchestrator.data import csv_text
+
+        text = csv_text.rows_text(rows)
+    return by_repr(rows) if text is None else text
+
+
+def by_repr(rows: Array) -> bytes:
+    """The same lines where the library of `csv_text` is missing, or takes longer to load."""
+    return "".join([",".join(map(repr, row)) + "\n" for row in rows.tolist()]).encode()
 
 
 class _Csv:

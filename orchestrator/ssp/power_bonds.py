@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import grouped
-from orchestrator.ssp.structure import of_structure
+from orchestrator.ssp.dependencies import of_structure
 from orchestrator.ssp.system import Connection, Port, System
 
 # dimensions of effort and flow: exponents of (kg, m, s, A, K, mol, cd); their product is power

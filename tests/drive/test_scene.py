@@ -118,7 +118,7 @@ def test_colours_grow_lighter() -> None:
     The colours are those of matplotlib, whose import they replace.
     """
     plasma = colormaps["plasma"](np.linspace(0.04, 0.92, STEPS))
-    assert [*map(to_hex, plasma)] == SCALE
+    assert tuple(map(to_hex, plasma)) == SCALE
     assert sorted(map(lightness, SCALE)) == list(map(lightness, SCALE))
 
 

@@ -9,6 +9,7 @@ from kit.mistakes import problem, table
 from orchestrator import Problem, Trace, read_trace, write_trace
 from orchestrator.data import csv_text
 from orchestrator.data.table import split_unit
+from orchestrator.data.trace_writer import by_repr
 
 
 @pytest.fixture
@@ -38,8 +39,7 @@ def test_the_text_of_a_number_is_the_shortest_one():
         near = [*(np.nextafter(powers, way) for way in (-np.inf, np.inf)), bits.round(3)]
     others = [0.0, -0.0, 9007199254740993.0, 5e-324, 1e16, 9.5e-5, 0.1 + 0.2, np.nan, np.inf, -np.inf]
     values = np.concatenate([bits, powers, -powers, *near, np.arange(-99, 100) / 8, others])
-    assert csv_text._compiled()
-    assert csv_text.rows_text(values[:, None]) == csv_text.by_repr(values[:, None])
+    assert csv_text.rows_text(values[:, None]) == by_repr(values[:, None])
 
 
 # without NUL, with which MATLAB fills texts up
