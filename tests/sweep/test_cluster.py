@@ -32,7 +32,7 @@ MANY = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop =
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    """The address of a scheduler with two workers in processes of their own, which are replaced when they die."""
+    """The address of a scheduler with two workers in processes of their own, replaced when they die."""
     options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
     with LocalCluster(2, **options) as there:
         yield there.scheduler_address
