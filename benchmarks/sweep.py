@@ -198,9 +198,8 @@ def print_processes(runs: int, seconds: float) -> None:
         before = os.times()
         result = batch(SYSTEM, masses, lanes=lanes, **options)
         spent.append(sum(os.times()[:4]) - sum(before[:4]))
-        print(
-            f"{runs} machines, {seconds:g} s, {result.wall:.3g} s of wall time, lanes={lanes}: {spent[-1]:.3g} s"
-        )
+        where = f"in {'lanes' if lanes else 'processes'}, {result.wall:.3g} s of wall time"
+        print(f"{runs} machines, {seconds:g} s, {where}: {spent[-1]:.3g} s", flush=True)
     print(f"ratio {spent[1] / spent[0]:.1f}")
 
 
