@@ -54,6 +54,8 @@ lint: $(TESTING)
 
 # ARGS: options of the benchmark, such as make bench-peers ARGS="--repeats 1"
 bench: $(EVERYTHING)
+	test -f build/harvester.ssp || $(BIN)/harvester build
+	$(BIN)/python -m benchmarks.costs $(ARGS)
 	$(BIN)/python -m benchmarks.speed $(ARGS)
 	$(BIN)/python -m benchmarks.variants
 

@@ -8,11 +8,7 @@ The work cycle, in turn by the FMUs of the parts and by harvester.fmu, which is 
 from __future__ import annotations
 
 import argparse
-import statistics
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -36,23 +32,6 @@ def speed(system: System, master: str, step: float, repeats: int) -> tuple[float
     ]
     best = min(cards, key=lambda card: card.wall)
     return best.wall / best.steps * 1e6, best.real_time_factor
-
-
-START = "from orchestrator.engine.isolated import start_process; start_process(); "
-RUN = "from orchestrator.engine.run import run_to_file; from pathlib import Path; "
-CALL = "run_to_file(Path({system!r}), None, Path({out!r}), isolate={isolate})"
-
-
-def process_costs(system: Path, repeats: int) -> dict[bool, float]:
-    """Median wall time [s] of a bare `harvester run`, and of the same run without a process of its own."""
-    times: dict[bool, list[float]] = {True: [], False: []}
-    for _ in range(2 * repeats + 1):
-        for isolate, walls in times.items():
-            call = CALL.format(system=str(system), out=str(system.with_suffix(".csv")), isolate=isolate)
-            began = time.perf_counter()
-            subprocess.run([sys.executable, "-c", START * isolate + RUN + call], check=True)
-            walls.append(time.perf_counter() - began)
-    return {isolate: statistics.median(walls) for isolate, walls in times.items()}
 
 
 def throughput(system: System, mass: str, in_lanes: bool, repeats: int) -> float:
@@ -91,9 +70,6 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         harvester().write(Path(folder))
         parts, whole = (load(Path(folder) / f"{WHOLE}.{suffix}") for suffix in ("ssp", "fmu"))
-        costs = process_costs(Path(folder) / f"{WHOLE}.ssp", repeats)
-        difference = costs[True] - costs[False]
-        print(f"harvester run: {costs[True]:.3g} s, of which its process {difference:.2g} s (bar 0.15)\n")
         print(f"{'':<22}us per step inside the FMUs{'':<33}{'us per step in all':>20}{'times real time':>20}")
         heads = [*FERIC.subsystems, "sum", WHOLE, "whole/sum", "parts", "whole", "parts", "whole"]
         print(f"{'master':<14}{'step':>8}" + "".join(f"{head:>12}" for head in heads))

@@ -2,6 +2,7 @@
 
     python -m benchmarks.sweep [--runs 2000] [--seconds 10]
     python -m benchmarks.sweep --lanes    writes the table of docs/sweep.md: lanes against single runs
+    python -m benchmarks.sweep --processes --runs 1000 --seconds 2    processor time in lanes and in processes
 
 A Latin hypercube of four factors of build/harvester.ssp, the lumped machine in its work cycle. Each study is
 one command, timed from start to end. First all runs with two workers; then half of them with two workers,
@@ -189,6 +190,19 @@ def time_study(study: Path, out: Path, workers: int) -> Cost:
     return Cost(wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
 
 
+def print_processes(runs: int, seconds: float) -> None:
+    """Print the processor time of machines in lanes and one by one in processes, in turn, and the ratio."""
+    masses, spent = {MASS: np.linspace(300.0, 400.0, runs)}, []
+    options = {"step": MILLISECOND, "stop": seconds, "record": ["manipulator.swing_angle"], "workers": 2}
+    for lanes in (True, False):
+        before = os.times()
+        result = batch(SYSTEM, masses, lanes=lanes, **options)
+        spent.append(sum(os.times()[:4]) - sum(before[:4]))
+        where = f"in {'lanes' if lanes else 'processes'}, {result.wall:.3g} s of wall time"
+        print(f"{runs} machines, {seconds:g} s, {where}: {spent[-1]:.3g} s", flush=True)
+    print(f"ratio {spent[1] / spent[0]:.1f}")
+
+
 def stored_runs(out: Path) -> int:
     """Number of finished runs in the folder."""
     return sum(pq.read_metadata(f).num_rows for f in out.glob("parts/batch-*.parquet"))
@@ -295,7 +309,11 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=RUNS)
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--lanes", action="store_true", help="write the table of lanes against single runs")
+    parser.add_argument("--processes", action="store_true", help="compare lanes with processes")
     arguments = parser.parse_args()
+    if arguments.processes:
+        print_processes(arguments.runs, arguments.seconds)
+        return 0
     if arguments.lanes:
         write_agreement()
         return 0

@@ -134,10 +134,12 @@ def _compile(platforms: Sequence[str]) -> None:
     """Libraries under the names by which `orchestrator.base.compiler` looks for them."""
     from fmus.export.compile import WASM, select
     from orchestrator.base.compiler import COMPILED, shared_library, shipped_file
-    from orchestrator.engine.c_library import recipe
+    from orchestrator.data import csv_text
+    from orchestrator.engine import c_library
 
     COMPILED.mkdir()
-    for arguments in (recipe(name) for name in select(platforms) if name != WASM):
+    names = [name for name in select(platforms) if name != WASM]
+    for arguments in (made.recipe(name) for name in names for made in (csv_text, c_library)):
         shutil.copyfile(shared_library(*arguments), shipped_file(*arguments))
 
 

@@ -14,7 +14,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -31,6 +31,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.processes import remove_folder
 
+if sys.platform == "linux":
+    from _ctypes import dlclose, dlopen  # ctypes.CDLL never closes
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -232,12 +234,14 @@ class SharedFolder:
 
 def files_in(folder: Path) -> frozenset[tuple[str, int, int]]:
     """Path, size [bytes] and time of the last change [ns] of all that a folder contains."""
-    found = set[tuple[str, int, int]]()
-    for place, folders, names in os.walk(folder):
-        for name in (*folders, *names):
-            path = os.path.join(place, name)
-            about = os.lstat(path)
-            found.add((path, about.st_size, about.st_mtime_ns))
+    found, waiting = set[tuple[str, int, int]](), [str(folder)]
+    while waiting:
+        with os.scandir(waiting.pop()) as entries:
+            for entry in entries:
+                about = entry.stat(follow_symlinks=False)
+                found.add((entry.path, about.st_size, about.st_mtime_ns))
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(entry.path)
     return frozenset(found)
 
 
@@ -245,7 +249,7 @@ def files_in(folder: Path) -> frozenset[tuple[str, int, int]]:
 _unpacked: dict[tuple[int, str, tuple[str, ...]], SharedFolder] = {}
 _checksums: dict[tuple[object, ...], str] = {}  # stamp of a file -> its SHA-256
 MOST_KEPT = 64e6  # bytes of all folders without users
-_PROCESS = os.getpid()  # forks end without removing what they keep
+_processes = [os.getpid()]  # forks end without removing what they keep
 _unpacking = Lock()
 
 # ---- locations ---------------------------------------------------------------------------------------------
@@ -339,6 +343,8 @@ class Location:
     def opened_zip(self) -> Iterator[zipfile.ZipFile]:
         """As `zip`, also in the context of `archive_kept_open` opened anew."""
         with self.opened() as file, self._as_zip(file) as archive:
+            if self.members:  # an FMU, whose checksum a run needs
+                self._checksum(file)
             yield archive
 
     def _as_zip(self, file: IO[bytes]) -> zipfile.ZipFile:
@@ -444,12 +450,10 @@ class Location:
             yield self.path.resolve()
             return
         with _unpacking:
-            stamp = self._stamp()
-            shared = _kept_folder((os.getpid(), _checksums.get(stamp, ""), without))
+            shared = _kept_folder((os.getpid(), _checksums.get(self._stamp(), ""), without))
             if not shared:
                 with self.opened() as file:
-                    key = os.getpid(), _sha256(file), without
-                    _checksums.update({stamp: key[1]} if stamp else {})
+                    key = os.getpid(), self._checksum(file), without
                     shared = _unpacked[key] = _kept_folder(key) or self._shared(file, without)
             shared.users += 1
         try:
@@ -469,6 +473,16 @@ class Location:
         stamp = about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns
         return *stamp, os.path.abspath(self.path), self.members
 
+    def _checksum(self, file: IO[bytes]) -> str:
+        """The SHA-256 of this file, which is open; kept until it is written again."""
+        stamp = self._stamp()
+        if (known := _checksums.get(stamp)) is None:
+            file.seek(0)
+            known = _sha256(file)
+            file.seek(0)
+            _checksums.update({stamp: known} if stamp else {})
+        return known
+
     def _shared(self, file: IO[bytes], without: tuple[str, ...]) -> SharedFolder:
         """A new folder with this archive, which is open."""
         with ExitStack() as stack:
@@ -480,6 +494,15 @@ class Location:
             return SharedFolder(folder, stack.pop_all(), files_in(folder))
 
     @property
+    def kept_sha256(self) -> str:
+        """As `sha256`, kept until the file or the folder is written again."""
+        stamp = self._stamp()
+        if (known := _checksums.get(stamp)) is None:
+            known = self.sha256
+            _checksums.update({stamp: known} if stamp else {})
+        return known
+
+    @property
     def sha256(self) -> str:
         """The SHA-256 of the file; of a folder that of the checksums of its files."""
         if not self.is_folder:
@@ -487,6 +510,11 @@ class Location:
                 return _sha256(file)
         lines = (f"{name} {self.member(name).sha256}\n" for name in self.names())
         return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
+
+
+def own_folders() -> None:
+    """Keep folders in this process, too: a fork whose parent removes all that it leaves."""
+    _processes.append(os.getpid())
 
 
 def _kept_folder(key: tuple[int, str, tuple[str, ...]]) -> SharedFolder | None:
@@ -506,24 +534,26 @@ def _remove_unused(most: float = MOST_KEPT, last: SharedFolder | None = None) ->
     last   the folder whose use has just ended; it goes if its library is still loaded: the next run would get
            it with the values of its variables
     """
-    mapped = _mapped_files() if last else ""
-    loaded = last if last and (mapped is None or str(last.folder) in mapped) else None
+    loaded = last if last and _is_loaded(last) else None
     process = os.getpid()
     for key, shared in reversed([*_unpacked.items()]):
         if shared.users or key[0] != process:
             continue
-        if shared is loaded or process != _PROCESS or shared.size > most:
+        if shared is loaded or process not in _processes or shared.size > most:
             _unpacked.pop(key).removal.close()
         else:
             most -= shared.size
 
 
-def _mapped_files() -> str | None:
-    """The files whose code is in this process; None if the system does not tell."""
-    try:
-        return Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return None
+def _is_loaded(shared: SharedFolder) -> bool:
+    """Is a library in a folder still in this process? True if the system does not tell."""
+    if sys.platform != "linux":
+        return True
+    for path in (path for path, _, _ in shared.files if path.endswith(".so")):
+        with suppress(OSError):  # it is not loaded
+            dlclose(dlopen(path, os.RTLD_NOLOAD | os.RTLD_LAZY))
+            return True
+    return False
 
 
 def _sha256(file: IO[bytes]) -> str:

@@ -42,6 +42,7 @@ ORIGIN = "harvester"  # key of the JSON text about the run in the metadata of a 
 CHUNK = 8192  # rows of a trace written at a time
 PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group: 29 MB of 110 signals
 PART_TIME = 5.0  # [s] of wall time until rows are in a partial Parquet trace: what a kill may take
+MANY = 5000  # values whose text takes Python as long as loading the library that is faster
 MAX_KEPT = 32 << 20  # bytes that are kept in memory besides a file: 190 s of 110 signals every 5 ms
 
 
@@ -334,6 +335,21 @@ class TraceFile(TraceSink):
                 self._format.close()
 
 
+def rows_text(rows: Array) -> bytes:
+    """Rows, shape (rows, columns), as lines of a CSV file."""
+    text = None
+    if rows.size >= MANY:
+        from orchestrator.data import csv_text
+
+        text = csv_text.rows_text(rows)
+    return by_repr(rows) if text is None else text
+
+
+def by_repr(rows: Array) -> bytes:
+    """The same lines where the library of `csv_text` is missing, or takes longer to load."""
+    return "".join([",".join(map(repr, row)) + "\n" for row in rows.tolist()]).encode()
+
+
 class _Csv:
     """CSV: each value is the shortest decimal that is read back as the same float64.
 
@@ -351,9 +367,8 @@ class _Csv:
         self._write(f"{csv_header([TIME, *names])}\n".encode())
 
     def append(self, times: Array, values: Array) -> None:
-        rows = np.column_stack([times, values]).tolist()
-        self._write("".join([",".join(map(repr, row)) + "\n" for row in rows]).encode())
-        self.end = rows[-1][0] if rows else self.end
+        self._write(rows_text(np.column_stack([times, values])))
+        self.end = float(times[-1]) if len(times) else self.end
 
     def _write(self, data: bytes) -> None:
         """Write all bytes or none."""

@@ -28,11 +28,10 @@ from orchestrator.fmi.calls import Buffer, Call, Slave, StepCalls, calls_by_type
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.dependencies import (
     DependencyCycle,
-    Feedthrough,
     OutputOrder,
     influential_inputs,
+    initial_groups,
     output_order,
-    strongly_connected,
 )
 from orchestrator.ssp.system import Connection, Port, System
 
@@ -438,10 +437,9 @@ def propagate(system: System, slaves: Mapping[str, Slave]) -> None:
 
     Algebraic loops are solved as in the run, see `AlgebraicLoop`.
     """
-    feedthrough = Feedthrough(system, initially=True)
     connections = grouped(system.connections, lambda c: c.source)
-    for group in strongly_connected(feedthrough.graph):
-        outputs, cycle = [y for y in group if y in connections], feedthrough.cycle(group)
+    for group, cycle in initial_groups(system):
+        outputs = [y for y in group if y in connections]
         if cycle:
             others = {y: [c for c in connections[y] if c not in cycle.connections] for y in outputs}
             _solve(slaves, cycle, others)

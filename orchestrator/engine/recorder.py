@@ -193,11 +193,14 @@ def _is_applied(network: Network, port: Port) -> bool:
 
 def _ordered(network: Network, ports: list[Port]) -> list[Port]:
     """Ports by component, outputs before inputs, each in the order of declaration."""
-    position = {}
-    for i, component in enumerate(network.system.components.values()):
-        for j, v in enumerate(component.interface.variables.values()):
-            position[Port(component.name, v.name)] = (i, v.causality == "input", j)
-    return sorted(ports, key=position.__getitem__)
+    places = {name: (k, c.interface) for k, (name, c) in enumerate(network.system.components.items())}
+
+    def place(port: Port) -> tuple[int, bool, int]:
+        k, interface = places[port.component]
+        is_input = interface.variables[port.variable].causality == "input"
+        return k, is_input, interface.positions[port.variable]
+
+    return sorted(ports, key=place)
 
 
 class EnergyMonitor:

@@ -39,8 +39,7 @@ class RunningFmu:
 
     def __init__(self, name: str, interface: FmuInterface, fmu: Location, after: AfterCall = None) -> None:
         """`after`: see `FmuInstance`."""
-        names = {v.mark: v.name for v in interface.variables.values()}
-        self.name, self.interface, self.log = name, interface, Log(name, names)
+        self.name, self.interface, self.log = name, interface, Log(name, interface.marks)
         self._label, self._stepping, self._after = f"{name} ({fmu})", False, after
         self._cleanup = ExitStack()
         try:

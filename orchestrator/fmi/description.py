@@ -228,14 +228,14 @@ class FmuVariable(Entry):
         """Start values of a numeric variable."""
         return parse_numbers(self.start or "") if self.is_number else ()
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[float, float]:
         """Minimum and maximum of a numeric variable, infinite if not declared."""
         if not self.is_number:
             return -math.inf, math.inf
         return float(self.get("min", "-inf")), float(self.get("max", "inf"))
 
-    @property
+    @cached_property
     def nominal(self) -> float | None:
         """The nominal value of a floating-point variable."""
         return self.number("nominal") if self.is_real else None

@@ -19,7 +19,7 @@ from typing import Any
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.library import Library, callbacks2, logger3, register_log, unregister_log
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
-from orchestrator.worker.calls import CallSlot, function_number, new_slot
+from orchestrator.worker.calls import free_slot, function_number, new_slot
 
 FMI2_NAMES = {  # FMI 3.0 -> FMI 2.0
     "GetFMUState": "GetFMUstate",
@@ -299,10 +299,10 @@ class FmuInstance:
         """Free the instance, except after a fatal error. May be repeated."""
         if self.handle and self.worst < FATAL:
             self._call("FreeInstance", self.handle, result=None)
+        if not self._closed:
+            self.slot = free_slot(self.slot)
         self.handle, self._closed = ctypes.c_void_p(), True
         self._step = partial(self.status, "DoStep")
-        self.slot.fmi = 0
-        self.slot = CallSlot.from_buffer_copy(self.slot)  # the other one may become that of another instance
         self.log.clock = self.slot.clock
         unregister_log(self._environment)
 

@@ -3,15 +3,17 @@
 `read_interface` reads it from modelDescription.xml and refuses FMUs that cannot be run.
 """
 
+import pickle
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
 from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
 from orchestrator.base.files import Location, is_file_name
+from orchestrator.base.text import grouped
 from orchestrator.base.units import DeclaredUnit
 from orchestrator.base.xml import MAX_BYTES, parse_text
 from orchestrator.fmi.description import (
@@ -27,9 +29,8 @@ from orchestrator.fmi.description import (
 
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
 MAX_LISTED = 5  # unsupported variables in a note
-LONGEST_KEPT = (
-    1 << 20
-)  # bytes of a description whose interface is kept: 2500 variables, ten times as much in memory
+# bytes of a description whose interface is kept: 2500 variables, ten times as much in memory; number of them
+LONGEST_KEPT, MOST_KEPT = 1 << 20, 64
 # field of `FmuInterface` -> attribute of the interface type that declares it, in FMI 2.0 and in FMI 3.0
 CAPABILITIES = {
     "rollback": ("canGetAndSetFMUstate", "canGetAndSetFMUState"),
@@ -101,9 +102,31 @@ class FmuInterface:
         declared = self.variables[name].nominal
         return declared or float(any(v.nominal for v in self.variables.values()))
 
-    def of(self, causality: str) -> list[FmuVariable]:
+    def of(self, causality: str) -> Sequence[FmuVariable]:
         """All variables of one causality, in declaration order."""
-        return [v for v in self.variables.values() if v.causality == causality]
+        return self._of.get(causality, ())
+
+    @cached_property
+    def _of(self) -> dict[str, list[FmuVariable]]:
+        return grouped(self.variables.values(), lambda v: v.causality)
+
+    @cached_property
+    def marks(self) -> dict[str, str]:
+        """Mark of a variable in messages of FMUs -> its name."""
+        return {v.mark: v.name for v in self.variables.values()}
+
+    @cached_property
+    def positions(self) -> dict[str, int]:
+        """Variable -> its position among all variables."""
+        return {name: k for k, name in enumerate(self.variables)}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unpickled, (self._pickled,)
+
+    @cached_property
+    def _pickled(self) -> bytes:
+        """Made once for many runs in other processes, and without what is computed from the fields."""
+        return pickle.dumps({f.name: getattr(self, f.name) for f in fields(self)}, pickle.HIGHEST_PROTOCOL)
 
     def direct_inputs(self, output: str) -> frozenset[str]:
         """Inputs with direct feedthrough to `output`; all inputs if the FMU declares no dependencies."""
@@ -139,7 +162,7 @@ class FmuInterface:
         exchange = self.kind == MODEL_EXCHANGE and (self.event_indicators > 0 or self.completed_step)
         return exchange or self.event_mode
 
-    @property
+    @cached_property
     def ramp_inputs(self) -> frozenset[str]:
         """Inputs whose time derivative can be set, so that they are ramps inside a step."""
         if self.can_interpolate_inputs:
@@ -160,6 +183,15 @@ class FmuInterface:
         return f"left out: {'; '.join(entries[:MAX_LISTED])}{more}" if entries else ""
 
 
+_kept: dict[tuple[bytes, str], FmuInterface] = {}  # text of the description and kind -> interface
+
+
+@lru_cache(MOST_KEPT)
+def _unpickled(data: bytes) -> FmuInterface:
+    """One object for all runs of an FMU in a process."""
+    return FmuInterface(**pickle.loads(data))
+
+
 SECOND_EXPONENTS = (0, 0, 1, 0, 0, 0, 0, 0)
 
 
@@ -169,16 +201,15 @@ def read_interface(fmu: Location, kind: str = "") -> FmuInterface:
     kind    CO_SIMULATION or MODEL_EXCHANGE; default: the first of them that the FMU has
 
     The last ones that were read are kept, but for very long descriptions: a command reads a system several
-    times, and a system may have an FMU several times.
+    times, and a system may have an FMU several times, also under different names.
     """
     text = fmu.member("modelDescription.xml").read(MAX_BYTES)
-    read = _kept_interface if len(text) <= LONGEST_KEPT else _read_interface
-    return read(fmu, text, kind)
-
-
-@lru_cache(maxsize=64)
-def _kept_interface(fmu: Location, text: bytes, kind: str) -> FmuInterface:
-    return _read_interface(fmu, text, kind)
+    interface = _kept.pop((text, kind), None) or _read_interface(fmu, text, kind)
+    if len(text) <= LONGEST_KEPT:
+        _kept[text, kind] = interface  # as the last one
+        for oldest in [*_kept][:-MOST_KEPT]:
+            _kept.pop(oldest, None)
+    return interface
 
 
 def _read_interface(fmu: Location, text: bytes, kind: str) -> FmuInterface:

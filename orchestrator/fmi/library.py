@@ -94,7 +94,7 @@ class Library:
         self._functions: dict[str, Any] = {}
         self._threads = thread_count()
         with _one_at_a_time:
-            before = Path.cwd()
+            before = os.getcwd()
             os.chdir(path.parent)  # some libraries search for other libraries in the working directory
             try:
                 with in_progress(name, fmi, LOADING):
@@ -131,7 +131,12 @@ class Library:
             if sys.platform == "win32":
                 ctypes.windll.kernel32.FreeLibrary(handle)
             else:
-                ctypes.CDLL(None).dlclose(handle)
+                _c_library().dlclose(handle)
+
+
+@cache
+def _c_library() -> ctypes.CDLL:
+    return ctypes.CDLL("msvcrt" if SYSTEM == "windows" else None)
 
 
 def thread_count() -> int:
@@ -208,7 +213,7 @@ def callbacks2(environment: int) -> Callbacks2:
 @cache
 def _memory() -> tuple[ctypes.c_void_p, ctypes.c_void_p]:
     """Addresses of calloc and free of the C library."""
-    library = ctypes.CDLL("msvcrt" if SYSTEM == "windows" else None)
+    library = _c_library()
     return ctypes.cast(library.calloc, _P), ctypes.cast(library.free, _P)
 
 

@@ -392,15 +392,15 @@ def _path(x: Array, y: Array) -> str:
     """Path data with relative coordinates in tenths, which are short; NaN interrupts the curve."""
     finite = np.isfinite(y)
     corners = np.round(10 * np.column_stack((x, np.where(finite, y, 0.0)))).astype(int)
-    parts, previous, pen = [], np.zeros(2, int), False
-    for corner, drawn in zip(corners, finite, strict=True):
+    parts, previous, pen = [], [0, 0], False
+    for corner, drawn in zip(corners.tolist(), finite.tolist(), strict=True):
         if not drawn:
             pen = False
             continue
         if not pen:
             parts.append(f"M{corner[0] / 10:g} {corner[1] / 10:g}l")
         else:
-            dx, dy = (corner - previous) / 10
+            dx, dy = ((new - old) / 10 for new, old in zip(corner, previous, strict=True))
             parts.append(f"{dx:g}{'' if dy < 0 else ' '}{dy:g} ")
         previous, pen = corner, True
     return "".join(parts).replace("l M", "M").replace("-0.", "-.").replace(" 0.", " .").rstrip("l ")

@@ -131,42 +131,9 @@ class Plan:
         return self.estimates or (self.needs_slopes and not predicted)
 
 
-def gauss_seidel_order(system: System) -> list[str]:
-    """Names of the components in the order in which Gauss-Seidel steps them.
-
-    The next component is the one with the fewest inputs that have feed-through to its outputs and whose
-    source has not stepped yet; those that it has to hold, for want of a connected rate port, count before all
-    of them. Among equal ones it is the one with the fewest inputs whose source has not stepped yet, then one
-    that holds its inputs before one that interpolates them (which gains from a later position), then the
-    first in the system.
-    """
-    connected = {c.target for c in system.connections}
-    with_rate = {port for port, rate in system.rate_ports.items() if rate in connected}
-    with_feedthrough = {
-        (c.name, u)
-        for c in system.components.values()
-        for y in c.interface.of("output")
-        for u in c.interface.direct_inputs(y.name)
-    }
-    remaining, order = list(system.components), list[str]()
-
-    def waiting_inputs(name: str) -> tuple[int, int, int, bool]:
-        targets = [
-            c.target
-            for c in system.connections
-            if c.target.component == name and c.source.component in remaining and c.source.component != name
-        ]
-        interpolates = bool(system.components[name].interface.ramp_inputs)
-        direct = with_feedthrough.intersection(targets)
-        return len(direct - with_rate), len(direct), len(targets), interpolates
-
-    while remaining:
-        order.append(min(remaining, key=waiting_inputs))
-        remaining.remove(order[-1])
-    return order
-
-
 def _gauss_seidel_indices(system: System) -> list[int]:
+    from orchestrator.ssp.dependencies import gauss_seidel_order  # which needs systems, and they this file
+
     return [*map(list(system.components).index, gauss_seidel_order(system))]
 
 
@@ -243,7 +210,7 @@ def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
     There is one pass and no rollback. Components that do not depend on others step first, and the inputs that
     they feed are interpolated.
     """
-    from orchestrator.ssp.dependencies import influential_inputs  # which needs systems, and they this file
+    from orchestrator.ssp.dependencies import influential_inputs
 
     relevant = influential_inputs(system)
     leading = _leading_components(system, relevant)

@@ -6,6 +6,7 @@ Bonds are found from the units of the signals; effort and flow are those of bond
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from math import prod
@@ -13,6 +14,7 @@ from typing import NamedTuple
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import grouped
+from orchestrator.ssp.dependencies import of_structure
 from orchestrator.ssp.system import Connection, Port, System
 
 # dimensions of effort and flow: exponents of (kg, m, s, A, K, mol, cd); their product is power
@@ -47,7 +49,8 @@ class _Candidate(NamedTuple):
         return {self.effort.target, self.flow.target}
 
 
-def find_bonds(system: System) -> list[Bond]:
+@of_structure
+def find_bonds(system: System) -> Sequence[Bond]:
     """The bonds that follow from the units.
 
     If a connection could belong to several bonds, the longest common prefix of the input names decides. If

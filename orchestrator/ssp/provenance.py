@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -142,13 +141,6 @@ def chosen_note(system: System) -> str:
 def checksum(file: Location) -> str:
     """The SHA-256 of a file, a member of an archive or a folder; empty if it cannot be read."""
     try:
-        status = file.path.stat()
-        return _checksum(file, status.st_mtime_ns, status.st_size)
+        return file.kept_sha256
     except (OSError, Problem):
         return ""  # what cannot be read is told by the run itself
-
-
-@lru_cache(maxsize=256)
-def _checksum(file: Location, modified: int, size: int) -> str:
-    del modified, size  # of the key
-    return file.sha256

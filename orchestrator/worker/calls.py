@@ -86,6 +86,7 @@ _Slots: Any = CallSlot * SLOTS
 CALLS_SIZE = ctypes.sizeof(_Slots)
 OUTSIDE = "outside of the FMUs"
 _slots = _Slots()
+_free = [*_slots][::-1]
 
 
 def function_number(name: str) -> int:
@@ -95,21 +96,30 @@ def function_number(name: str) -> int:
 
 def share_calls(file: Path) -> mmap.mmap:
     """Keep the slots in a new file, before the first instance of this process; returns its map."""
-    global _slots
+    global _slots, _free
     with file.open("w+b") as opened:
         opened.write(bytes(CALLS_SIZE))  # a full disk is an error now, not a signal later
         opened.flush()
         memory = mmap.mmap(opened.fileno(), CALLS_SIZE)
     _slots = _Slots.from_buffer(memory)
+    _free = [*_slots][::-1]
     return memory
 
 
 def new_slot(label: str, fmi: int) -> CallSlot:
-    """A slot for an instance; freed by setting `fmi` to 0."""
-    slot = next((slot for slot in _slots if not slot.fmi), None) or CallSlot()
+    """A slot for an instance."""
+    slot = _free.pop() if _free else CallSlot()
     slot.function, slot.fmi, slot.label = 0, fmi, label.encode()[: CallSlot.label.size - 1]  # type: ignore[attr-defined]
     slot.clock[:] = [math.nan] * 3
     return slot
+
+
+def free_slot(slot: CallSlot) -> CallSlot:
+    """Free a slot, which may become that of another instance; returns a copy."""
+    slot.function = slot.fmi = 0
+    if slot._b_base_ is _slots:
+        _free.append(slot)
+    return CallSlot.from_buffer_copy(slot)
 
 
 @contextmanager
@@ -120,7 +130,7 @@ def in_progress(label: str, fmi: int, function: str) -> Iterator[None]:
     try:
         yield
     finally:
-        slot.function = slot.fmi = 0
+        free_slot(slot)
 
 
 def calls_in(file: bytes) -> str:

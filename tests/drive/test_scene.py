@@ -9,6 +9,8 @@ import pytest
 from kit import shards
 from kit.equations import Part
 from kit.mistakes import problem
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from view.standin import DESCRIPTION
 
 from fmus.contract import quantities
@@ -19,7 +21,7 @@ from fmus.crane.view import document
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.parameters import values
 from orchestrator.base import toml
-from orchestrator.drive.drawing import SCALE
+from orchestrator.drive.drawing import SCALE, STEPS
 from orchestrator.drive.scene import data, parameters, sizes, start
 from orchestrator.drive.view_description import ViewDescription
 from orchestrator.ssp.load import load
@@ -111,7 +113,12 @@ def test_shapes_hang_on_bodies() -> None:
 
 
 def test_colours_grow_lighter() -> None:
-    """A higher pressure never has a darker colour, so the scale is read without a sense of hue."""
+    """A higher pressure never has a darker colour, so the scale is read without a sense of hue.
+
+    The colours are those of matplotlib, whose import they replace.
+    """
+    plasma = colormaps["plasma"](np.linspace(0.04, 0.92, STEPS))
+    assert tuple(map(to_hex, plasma)) == SCALE
     assert sorted(map(lightness, SCALE)) == list(map(lightness, SCALE))
 
 

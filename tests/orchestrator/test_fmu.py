@@ -18,7 +18,7 @@ from orchestrator import Problem
 from orchestrator.base import files as base_files
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import compatible_buffer
-from orchestrator.fmi.library import load_library
+from orchestrator.fmi.library import SUFFIX, load_library
 
 USES = """
 import sys, tempfile
@@ -73,12 +73,20 @@ def test_folders_stay_up_to_64_megabytes(kept):
     assert kept("large.zip", bytes(64_000_001)) == 3
 
 
-def test_a_folder_whose_library_is_still_loaded_does_not_stay(kept, tmp_path, monkeypatch):
+def test_a_folder_whose_library_is_still_loaded_does_not_stay(each, kept, tmp_path, monkeypatch):
     """Nor does any where the system does not tell: variables of a library would keep their values."""
-    monkeypatch.setattr(base_files, "_mapped_files", lambda: "\n".join(map(str, tmp_path.glob("fmu-*"))))
-    assert kept("loaded.zip") == 0
-    monkeypatch.setattr(base_files, "_mapped_files", lambda: None)
-    assert kept("unknown.zip") == 0
+    with Location(each["gain"]).unpacked() as folder:
+        library = next(folder.glob(f"binaries/*/*{SUFFIX}")).read_bytes()
+    monkeypatch.setattr(base_files, "_unpacked", {})
+    before = len([*tmp_path.glob("fmu-*")])
+    for load in (False, True):
+        packed(tmp_path / f"{load}.zip", {f"{load}.so": library + bytes([load])})
+        with Location(tmp_path / f"{load}.zip").unpacked() as folder:
+            if load:
+                ctypes.CDLL(str(folder / "True.so"))
+        assert len([*tmp_path.glob("fmu-*")]) == before + (sys.platform == "linux")
+    monkeypatch.setattr(base_files, "_is_loaded", lambda _: True)
+    assert kept("unknown.zip") == before + (sys.platform == "linux")
 
 
 def test_an_archive_that_is_written_again_is_unpacked_again(kept, tmp_path):

@@ -11,8 +11,8 @@ from orchestrator.base.files import Location
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.ssp.dependencies import output_order
-from orchestrator.ssp.masters import gauss_seidel_order, gauss_seidel_plan
+from orchestrator.ssp.dependencies import gauss_seidel_order, output_order
+from orchestrator.ssp.masters import gauss_seidel_plan
 from orchestrator.ssp.system import Component, Connection, Port, System
 
 RAMP = np.array([0.0, 1.0])  # in time and value

@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, read_trace, write_trace
+from orchestrator.data import csv_text
 from orchestrator.data.table import split_unit
+from orchestrator.data.trace_writer import by_repr
 
 
 @pytest.fixture
@@ -24,6 +26,20 @@ def test_numbers_survive_bit_for_bit(trace, tmp_path, suffix):
     np.testing.assert_array_equal(back.time, trace.time)
     np.testing.assert_array_equal(back["a.y"], trace["a.y"])
     assert back.units == ({"a.y": "Pa"} if suffix != ".csv" else {})
+
+
+def test_the_text_of_a_number_is_the_shortest_one():
+    """C writes what Python's repr does: any bits, both neighbours of powers of two and ten, ties, no numbers.
+
+    exact identity: bytes
+    """
+    bits = np.random.default_rng(0).integers(0, 1 << 64, 20_000, dtype=np.uint64).view(float)
+    powers = np.array([*2.0 ** np.arange(-1074, 1024), *(float(f"1e{n}") for n in range(-323, 309))])
+    with np.errstate(over="ignore", invalid="ignore"):
+        near = [*(np.nextafter(powers, way) for way in (-np.inf, np.inf)), bits.round(3)]
+    others = [0.0, -0.0, 9007199254740993.0, 5e-324, 1e16, 9.5e-5, 0.1 + 0.2, np.nan, np.inf, -np.inf]
+    values = np.concatenate([bits, powers, -powers, *near, np.arange(-99, 100) / 8, others])
+    assert csv_text.rows_text(values[:, None]) == by_repr(values[:, None])
 
 
 # without NUL, with which MATLAB fills texts up

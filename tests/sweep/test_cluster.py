@@ -32,9 +32,9 @@ MANY = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop =
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    """The address of a scheduler with one worker in a process of its own, which is replaced when it dies."""
+    """The address of a scheduler with two workers in processes of their own, replaced when they die."""
     options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
-    with LocalCluster(1, **options) as there:
+    with LocalCluster(2, **options) as there:
         yield there.scheduler_address
 
 
@@ -51,20 +51,26 @@ def test_no_port_is_opened_on_this_machine(file, tmp_path):
 
 
 def test_a_worker_that_dies_costs_no_run(gain, address, tmp_path):
-    """What it was at is run again elsewhere; the content is that of an undisturbed study, byte by byte."""
+    """One of two is killed: what it was at is run again elsewhere, and no sample is lost or there twice.
+
+    The content is that of an undisturbed study, byte by byte.
+
+        python -m pytest -m long tests/sweep/test_cluster.py -k dies
+    """
     file = study(tmp_path, MANY, gain)
     run(file, "here")
     killed = []
 
     def kill(_total, _done, batch):
-        """The worker, once, when the first batch is done."""
+        """One worker, once, when the first batch is done."""
         if batch and not killed:
             with Client(address) as client:
                 killed.extend(client.run(os.getpid).values())
             os.kill(killed[0], signal.SIGKILL)
 
-    sweep(file, tmp_path / "there", scheduler=address, watch=kill)
-    assert killed
+    result = sweep(file, tmp_path / "there", scheduler=address, watch=kill)
+    assert len(killed) == 2
+    assert sorted(result.table["run"]) == list(range(RUNS))
     assert content(tmp_path / "there") == content(tmp_path / "here")
 
 
