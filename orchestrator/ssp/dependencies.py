@@ -10,10 +10,14 @@ are first copied along the connections, and the loop is solved only if they do n
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.ssp.system import Connection, Port, System
+
+if TYPE_CHECKING:
+    from orchestrator.ssp.coupling import Coupling
 
 MAX_CONNECTIONS = 6  # in a message
 
@@ -83,15 +87,52 @@ def influential_inputs(system: System) -> frozenset[Port]:
         found |= through & candidates
 
 
-def late_effects(system: System) -> str:
+def uses_events(system: System, coupling: "Coupling") -> bool:
+    """Do FMUs stop at their events, and go through them together?
+
+    A single FMU does. Several need to go back to the beginning of a step, so that it is repeated until it ends
+    at its first event. Otherwise events take place inside of the FMUs.
+    """
+    interfaces = [component.interface for component in system.components.values()]
+    if coupling.method.step or not any(i.has_events for i in interfaces):
+        return False
+    if len(interfaces) == 1:
+        return interfaces[0].event_mode
+    return bool(late_effects(system)) and not _fixed(system)
+
+
+def _fixed(system: System) -> dict[str, str]:
+    """Components whose steps cannot be repeated with another length, and why."""
+    interfaces = {name: component.interface for name, component in system.components.items()}
+    reasons = {n: "cannot restore a saved state" for n, i in interfaces.items() if not i.rollback}
+    return reasons | {n: "has a fixed step" for n, i in interfaces.items() if not i.variable_step}
+
+
+def late_notes(system: System, coupling: "Coupling") -> tuple[str, ...]:
+    """A note on effects that may come up to a step late, and why."""
+    if not (late := late_effects(system, coupling)):
+        return ()
+    note = f"effects of {late} on other FMUs may come up to a step late"
+    if coupling.method.step or uses_events(system, coupling) or not (reasons := _fixed(system)):
+        return (note,)
+    first, reason = next(iter(reasons.items()))
+    more = f", as {len(reasons) - 1} more" if len(reasons) > 1 else ""
+    return (f"{note}, because {first} {reason}{more}",)
+
+
+def late_effects(system: System, coupling: "Coupling | None" = None) -> str:
     """The events, and signals that are not continuous, that may take effect up to a step late; or nothing.
 
     Only those that influence a state of another FMU: an FMU has its own events at their time.
+
+    coupling   of a run, in which events may be met at their times; None: of a run without that
     """
     influential = influential_inputs(system)
     wires = [c for c in system.connections if c.target in influential]
-    held = [c for c in wires if not all(system.variable(p).is_continuous for p in (c.source, c.target))]
     having = {name for name, component in system.components.items() if component.interface.has_events}
+    if coupling and uses_events(system, coupling):
+        wires, having = [c for c in wires if c.source.component not in having], set()
+    held = [c for c in wires if not system.is_continuous(c)]
     events = [
         f"events of {c.source.component}" for c in wires if c not in held and c.source.component in having
     ]

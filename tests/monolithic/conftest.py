@@ -1,4 +1,4 @@
-"""The models of hybrid.c as FMUs for Model Exchange."""
+"""The models of hybrid.c as FMUs for Model Exchange, those of stopping.c for Co-Simulation."""
 
 from pathlib import Path
 
@@ -27,3 +27,27 @@ def fmu(once):
         return once(f"hybrid-{model}{version}", build) / f"{model}{version}.fmu"
 
     return made
+
+
+STOPPING = SOURCE.with_name("stopping.c")
+ABLE = dict.fromkeys(
+    ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "hasEventMode"), "true"
+) | {"mightReturnEarlyFromDoStep": "true"}
+
+
+@pytest.fixture(scope="session")
+def stopping(tmp_path_factory):
+    """stopping("relay"): a model that stops at its events; without: variables that it does not declare."""
+    made = {}
+
+    def make(model: str, without=(), **able: str) -> Path:
+        key = model, tuple(without), tuple(sorted(able.items()))
+        if key not in made:
+            variables = [v for v in tables(str(STOPPING))[model] if v.name not in without]
+            text = Description(model, variables, {"CoSimulation": ABLE | able}).text(3)
+            binary = library("stopping", [STOPPING], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
+            members = {"modelDescription.xml": text, member(3, model): binary}
+            made[key] = packed(tmp_path_factory.mktemp("stopping") / f"{model}.fmu", members)
+        return made[key]
+
+    return make
