@@ -48,7 +48,7 @@ class Instants:
         }
         for name, slave in self._members.items():
             if isinstance(slave, SteppedFmu):
-                slave.stops = network.system.components[name].interface.has_events
+                slave.stops = slave.interface.declares_events
         for name, component in network.components.items():
             slave, struct, interface = self._members.get(name), component.struct, component.slave.interface
             struct.events = slave is not None

@@ -140,9 +140,14 @@ class FmuInterface:
     @property
     def has_events(self) -> bool:
         """May the FMU have events inside a step, as far as its description says?"""
-        discrete = (v.variability == "discrete" for v in self.of("output"))
-        exchange = self.event_indicators > 0 or self.completed_step or any(discrete)
-        return (self.kind == MODEL_EXCHANGE and exchange) or self.event_mode
+        return self.declares_events or (self.kind == MODEL_EXCHANGE and self.completed_step)
+
+    @property
+    def declares_events(self) -> bool:
+        """Is the FMU made for events: by event mode, event indicators, or signals that are not continuous?"""
+        ports = [*self.of("input"), *self.of("output")]
+        exchange = self.event_indicators > 0 or any(v.variability == "discrete" for v in ports)
+        return self.event_mode or (self.kind == MODEL_EXCHANGE and exchange)
 
     @property
     def ramp_inputs(self) -> frozenset[str]:

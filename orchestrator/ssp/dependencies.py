@@ -93,12 +93,16 @@ def uses_events(system: System, coupling: "Coupling") -> bool:
     A single FMU does. Several need to go back to the beginning of a step, so that it is repeated until it ends
     at its first event. Otherwise events take place inside of the FMUs.
     """
-    interfaces = [component.interface for component in system.components.values()]
-    if coupling.method.step or not any(i.has_events for i in interfaces):
+    declare = {name for name, component in system.components.items() if component.interface.declares_events}
+    if coupling.method.step or not declare:
         return False
-    if len(interfaces) == 1:
-        return interfaces[0].event_mode
-    return bool(late_effects(system)) and not _fixed(system)
+    if len(system.components) == 1:
+        return system.components[declare.pop()].interface.event_mode
+    influential = influential_inputs(system)
+    wires = [c for c in system.connections if c.target in influential]
+    from_events = any(c.source.component in declare for c in wires)
+    into_event_mode = any(c.target.component in declare and not system.is_continuous(c) for c in wires)
+    return (from_events or into_event_mode) and not _fixed(system)
 
 
 def _fixed(system: System) -> dict[str, str]:
@@ -131,7 +135,8 @@ def late_effects(system: System, coupling: "Coupling | None" = None) -> str:
     wires = [c for c in system.connections if c.target in influential]
     having = {name for name, component in system.components.items() if component.interface.has_events}
     if coupling and uses_events(system, coupling):
-        wires, having = [c for c in wires if c.source.component not in having], set()
+        declare = {name for name, c in system.components.items() if c.interface.declares_events}
+        wires = [c for c in wires if c.source.component not in declare]
     held = [c for c in wires if not system.is_continuous(c)]
     events = [
         f"events of {c.source.component}" for c in wires if c not in held and c.source.component in having

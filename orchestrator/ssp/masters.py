@@ -270,7 +270,7 @@ def plan_with_events(plan: Plan, system: System) -> Plan:
     """
     wires = [c for c in system.connections if system.is_continuous(c)]
     continuous, names = replace(system, connections=tuple(wires)), list(system.components)
-    having = {name for name, c in system.components.items() if c.interface.has_events}
+    having = {name for name, c in system.components.items() if c.interface.declares_events}
     order = sorted(gauss_seidel_indices(continuous), key=lambda k: names[k] in having)
     if plan.prediction:
         leading = plan.order[: plan.prediction.leading_count]
