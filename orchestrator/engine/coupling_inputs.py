@@ -222,6 +222,8 @@ class CouplingInputs:
         for i, k in enumerate(order):
             before = {names[j] for j in order[:i]}
             incoming = [c for c in self._network.connections if c.target.component == names[k]]
-            incoming = [c for c in incoming if self._network.system.is_continuous(c) and c.target not in varying]
+            incoming = [
+                c for c in incoming if self._network.system.is_continuous(c) and c.target not in varying
+            ]
             held[k] = [c for c in incoming if c.source.component in before]
         return held

@@ -1,9 +1,9 @@
 """Events of the FMUs of a run: a step ends at an event, and all components go through it in one instant.
 
 FMUs have event mode between steps if they stop at their events (FMI 3.0 for Co-Simulation) or are for Model
-Exchange. In a system of several FMUs all of them have to go back to the beginning of a step, so that it can be
-repeated until it ends at its first event (`native/events.c`). Otherwise events take place inside of the FMUs,
-and act on others at the end of the step.
+Exchange. In a system of several FMUs all of them have to go back to the beginning of a step, so that it can
+be repeated until it ends at its first event (`native/events.c`). Otherwise events take place inside of the
+FMUs, and act on others at the end of the step.
 
 In an instant all FMUs with event mode enter it. There values are copied along all connections, and discrete
 states are updated, until nothing changes. Afterwards inputs, extrapolations and predictions begin anew.
@@ -46,16 +46,20 @@ class Instants:
             for name, slave in network.slaves.items()
             if isinstance(slave, RunningFmu) and slave.event_mode
         }
-        for name, slave in self._members.items():
+        for slave in self._members.values():
             if isinstance(slave, SteppedFmu):
                 slave.stops = slave.interface.declares_events
         for name, component in network.components.items():
-            slave, struct, interface = self._members.get(name), component.struct, component.slave.interface
-            struct.events = slave is not None
+            struct, interface = component.struct, component.slave.interface
+            struct.events = name in self._members
             lower = [s for i in component.inputs if (s := inputs.inputs[i]).fmu_degree < inputs.h.DEGREE]
             held = any(s.requested_degree and not s.fmu_degree for s in lower)
-            struct.locates = isinstance(slave, SteppedFmu) or (interface.early_return and not held)
-            exact, near, states = inputs.h.EXACT, inputs.h.NEAR_EVENT, interface.model.structure["derivatives"]
+            struct.locates = isinstance(component.slave, SteppedFmu) or (interface.early_return and not held)
+            exact, near, states = (
+                inputs.h.EXACT,
+                inputs.h.NEAR_EVENT,
+                interface.model.structure["derivatives"],
+            )
             for s in lower:
                 s.at_end = interface.event_mode and (near if s.fmu_degree and states else exact)
         self.happened = list[Event]()

@@ -226,8 +226,8 @@ class Network:
                      those that set the driven inputs after them
     with_events      components whose FMUs take inputs that are not continuous in event mode
     instant_calls    calls that set inputs that are not continuous, for FMUs that take them in event mode only
-    discrete         array -> those inputs, and others that are not continuous and influence a state; and their
-                     values at the last instant
+    discrete         array -> those inputs, and others that are not continuous and influence a state; and
+                     their values at the last instant
     """
 
     def __init__(

@@ -190,6 +190,10 @@ def with_error_estimate(job: Job, result: Result) -> Result:
         return result.noted(f"no error estimate, the run at {setting} failed: {failed}")
     except Interrupted as interrupted:
         raise Interrupted(result, str(interrupted)) from None
+    counts = len(result.events), len(fine.events)
+    if counts[0] != counts[1]:
+        reason = f"{counts[0]} events, and {counts[1]} in the run to compare with"
+        return result.noted(f"no error estimate: {reason}", errors=())
     errors = changes(coarse, result, fine)
     notes = () if errors else ("no error estimate: no output changes",)
     return result.noted(*notes, errors=errors)

@@ -277,7 +277,13 @@ class SimulationLoop:
                 errors.fill(self._binding)
                 self.errors = errors
         of_prediction = prediction.notes if prediction else ()
-        self.notes = (*late_notes(job.system, job.coupling), *plan.notes, *_rollback_notes(job), *inputs.notes, *of_prediction)
+        self.notes = (
+            *late_notes(job.system, job.coupling),
+            *plan.notes,
+            *_rollback_notes(job),
+            *inputs.notes,
+            *of_prediction,
+        )
 
     def _initialise(self, job: Job) -> None:
         """Initialise all FMUs."""
@@ -351,7 +357,7 @@ class SimulationLoop:
         if prediction:
             binding.call("simulation_exchange", c_double(self.times.start))
             order = prediction.begin()
-            if self._instants:
+            if self._instants and self._plan.prediction:
                 leading = order[: self._plan.prediction.leading_count]
                 last = [k for k in self._plan.order if self._components[k].struct.events and k not in leading]
                 order = [*(k for k in order if k not in last), *last]
@@ -376,7 +382,9 @@ class SimulationLoop:
     def _plan_rollback(self) -> None:
         """Decide which components save their states or step in halves, and whether all can go back."""
         iterates = self._plan.passes > 1 and len(self._plan.repeated) > 0
-        saves = iterates or (self._control is not None and self._control.repeats) or self._instants is not None
+        saves = (
+            iterates or (self._control is not None and self._control.repeats) or self._instants is not None
+        )
         pairs = [(c, c.slave.interface) for c in self._components]
         for c, interface in pairs:
             c.struct.rollback = saves and interface.rollback

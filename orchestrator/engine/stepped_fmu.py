@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from math import factorial
 from typing import Any
 
@@ -85,7 +84,10 @@ class SteppedFmu(ExchangeFmu):
         """Leave initialisation mode, with the first event; ends in continuous-time mode."""
         super().exit()
         self._plant.begin(self._start)
-        self._time, self._integration = self._start, _Stepped(self, self._plant, self._tolerance, self._course)
+        self._time, self._integration = (
+            self._start,
+            _Stepped(self, self._plant, self._tolerance, self._course),
+        )
         self.next_event = self._plant.next_event
 
     # ---- variables

@@ -65,11 +65,14 @@ class RunningFmu:
         self._cleanup.callback(self._unless_fatal, library.close)
         self._cleanup.callback(self.fmu.free)
         resources = resources_location(folder, face.model.major)
-        events = {"events": face.event_mode, "early": face.event_mode and face.early_return}
-        if not any(
-            self.fmu.instantiate(face.model.token, resources, verbose=verbose, **events)
-            for verbose in (False, True)
-        ):
+        made = partial(
+            self.fmu.instantiate,
+            face.model.token,
+            resources,
+            events=face.event_mode,
+            early=face.event_mode and face.early_return,
+        )
+        if not any(made(verbose=verbose) for verbose in (False, True)):
             # the FMU has logged the reason in the second attempt, with debug logging
             raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.quoted_messages()}")
         categories = [c.encode() for c in LOG_CATEGORIES if c in face.model.categories]

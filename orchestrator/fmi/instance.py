@@ -58,6 +58,10 @@ class CallFailed(Problem):
         super().__init__(message)
 
 
+class Unsettled(Problem):
+    """Discrete states that still change after many event iterations."""
+
+
 class Crashed(Exception):
     """A crash of a call, which Windows reports as an exception."""
 
@@ -449,7 +453,7 @@ def settle(
         if count == MAX_EVENT_ITERATIONS:
             names = ", ".join(dict.fromkeys([*changed, *restless]))
             expected = f"expected at most {MAX_EVENT_ITERATIONS} event iterations, got more"
-            raise Problem(f"{where}: {expected}: the discrete states do not settle: {names}")
+            raise Unsettled(f"{where}: {expected}: the discrete states do not settle: {names}")
         results = {name: update() for name, update in updates.items()}
         restless = [name for name, (needed, _, _) in results.items() if needed]
         ended = next((name for name, (_, ends, _) in results.items() if ends), ended)

@@ -62,8 +62,8 @@ class FmuInterface:
     needs_execution_tool   the FMU needs the installed tool that exported it
     event_indicators       number of event indicators, in Model Exchange
     completed_step         in Model Exchange, the FMU needs to know when the solver has accepted a step
-    event_mode             for Co-Simulation in FMI 3.0: the FMU has event mode, and may stop at an event or has
-                           signals that are not continuous
+    event_mode             for Co-Simulation in FMI 3.0: the FMU has event mode, and may stop at an event or
+                           has signals that are not continuous
     early_return           the FMU may stop at an event inside of a step
     variable_step          the communication step size may vary
     stateless              the FMU declares, for Model Exchange, that it has no continuous states

@@ -90,8 +90,8 @@ def influential_inputs(system: System) -> frozenset[Port]:
 def uses_events(system: System, coupling: "Coupling") -> bool:
     """Do FMUs stop at their events, and go through them together?
 
-    A single FMU does. Several need to go back to the beginning of a step, so that it is repeated until it ends
-    at its first event. Otherwise events take place inside of the FMUs.
+    A single FMU does. Several need to go back to the beginning of a step, so that it is repeated until it
+    ends at its first event. Otherwise events take place inside of the FMUs.
     """
     declare = {name for name, component in system.components.items() if component.interface.declares_events}
     if coupling.method.step or not declare:
