@@ -35,7 +35,7 @@ from orchestrator.engine.result import Event, RunEnd
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.ssp.dependencies import late_effects, late_notes, uses_events
+from orchestrator.ssp.dependencies import influential_events, late_notes, uses_events
 from orchestrator.ssp.masters import plan_with_events
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.system import Port, System
@@ -252,8 +252,8 @@ class SimulationLoop:
         self._binding, self.state = network.binding, network.binding.simulation
         master = job.coupling.method
         estimate, plan = job.options.get("error_estimate", False), master.planned(job.system, job.coupling)
-        eventful = bool(late_effects(job.system))
-        estimate = estimate and not eventful  # it is one of a linear system
+        if influential_events(job.system):  # the estimate is one of a linear system
+            estimate = False
         plan = plan.with_estimate(fast=estimate == "fast") if estimate else plan
         if network.with_events and len(network.components) > 1:
             plan = plan_with_events(plan, job.system)

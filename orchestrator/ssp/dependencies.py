@@ -93,23 +93,34 @@ def uses_events(system: System, coupling: "Coupling") -> bool:
     A single FMU does. Several need to go back to the beginning of a step, so that it is repeated until it
     ends at its first event. Otherwise events take place inside of the FMUs.
     """
-    declare = {name for name, component in system.components.items() if component.interface.declares_events}
-    if coupling.method.step or not declare:
-        return False
+    return not coupling.method.step and _would_use_events(system) and not _fixed(system)
+
+
+def _would_use_events(system: System) -> bool:
+    """Would FMUs stop at their events, if the steps of all could be repeated?"""
+    declare = _declaring(system)
     if len(system.components) == 1:
-        return system.components[declare.pop()].interface.event_mode
+        return any(system.components[name].interface.event_mode for name in declare)
+    wires = _influential_wires(system) if declare else ()
+    into_event_mode = (c for c in wires if c.target.component in declare and not system.is_continuous(c))
+    return any(c.source.component in declare for c in wires) or any(into_event_mode)
+
+
+def _declaring(system: System) -> set[str]:
+    return {name for name, component in system.components.items() if component.interface.declares_events}
+
+
+def _influential_wires(system: System) -> list[Connection]:
     influential = influential_inputs(system)
-    wires = [c for c in system.connections if c.target in influential]
-    from_events = any(c.source.component in declare for c in wires)
-    into_event_mode = any(c.target.component in declare and not system.is_continuous(c) for c in wires)
-    return (from_events or into_event_mode) and not _fixed(system)
+    return [c for c in system.connections if c.target in influential]
 
 
 def _fixed(system: System) -> dict[str, str]:
-    """Components whose steps cannot be repeated with another length, and why."""
+    """Components whose steps cannot be repeated with another length, and why; one alone needs not."""
     interfaces = {name: component.interface for name, component in system.components.items()}
     reasons = {n: "cannot restore a saved state" for n, i in interfaces.items() if not i.rollback}
-    return reasons | {n: "has a fixed step" for n, i in interfaces.items() if not i.variable_step}
+    reasons |= {n: "has a fixed step" for n, i in interfaces.items() if not i.variable_step}
+    return reasons if len(interfaces) > 1 else {}
 
 
 def late_notes(system: System, coupling: "Coupling") -> tuple[str, ...]:
@@ -117,25 +128,27 @@ def late_notes(system: System, coupling: "Coupling") -> tuple[str, ...]:
     if not (late := late_effects(system, coupling)):
         return ()
     note = f"effects of {late} on other FMUs may come up to a step late"
-    if coupling.method.step or uses_events(system, coupling) or not (reasons := _fixed(system)):
-        return (note,)
-    first, reason = next(iter(reasons.items()))
+    reasons = {} if coupling.method.step or not _would_use_events(system) else _fixed(system)
     more = f", as {len(reasons) - 1} more" if len(reasons) > 1 else ""
-    return (f"{note}, because {first} {reason}{more}",)
+    return (note + "".join([f", because {name} {why}{more}" for name, why in reasons.items()][:1]),)
 
 
-def late_effects(system: System, coupling: "Coupling | None" = None) -> str:
+def influential_events(system: System) -> str:
+    """The events that may influence a state of another FMU; or nothing."""
+    having = {name for name, component in system.components.items() if component.interface.has_events}
+    sources = dict.fromkeys(c.source.component for c in _influential_wires(system))
+    return first_names(f"events of {name}" for name in sources if name in having)
+
+
+def late_effects(system: System, coupling: "Coupling") -> str:
     """The events, and signals that are not continuous, that may take effect up to a step late; or nothing.
 
     Only those that influence a state of another FMU: an FMU has its own events at their time.
-
-    coupling   of a run, in which events may be met at their times; None: of a run without that
     """
-    influential = influential_inputs(system)
-    wires = [c for c in system.connections if c.target in influential]
+    wires = _influential_wires(system)
     having = {name for name, component in system.components.items() if component.interface.has_events}
-    if coupling and uses_events(system, coupling):
-        declare = {name for name, c in system.components.items() if c.interface.declares_events}
+    if uses_events(system, coupling):
+        declare = _declaring(system)
         wires = [c for c in wires if c.source.component not in declare]
     held = [c for c in wires if not system.is_continuous(c)]
     events = [

@@ -243,7 +243,9 @@ def test_the_estimate_holds_with_events_at_their_times(stopping):
     assert error.change < 1e-9
     assert true < 1e-9
     notes = run(system, stop=1.0, accuracy=1e-3, isolate=False).card.notes
-    told = "accuracy 0.001 of room.T: not known, because of events of room, relay.on; without: estimated"
+    told = (
+        "accuracy 0.001 of room.T: not known, because of events of room, events of relay; without: estimated"
+    )
     assert any(note.startswith(told) for note in notes), notes
 
 
