@@ -115,6 +115,7 @@ class Plant:
     nominal                   nominal values of the states
     indicator_count           number of event indicators of all components
     next_event                time of the next time event [s]; infinite if there is none
+    changed                   signals, not continuous, that have changed in the last event
     ended                     name of the component that requested the end of the simulation; empty if none
     """
 
@@ -128,7 +129,7 @@ class Plant:
         """running: its components, if they are instantiated; binding: one that was made before them."""
         self.system, self.inlets, self._binding = system, inlets, binding or Binding()
         self._binding.simulation.careful = True
-        self.next_event, self.ended = np.inf, ""
+        self.next_event, self.ended, self.changed = np.inf, "", list[str]()
         self.slaves = dict(running or {})
         self.members: list[PlantComponent] = []
         try:
@@ -445,6 +446,7 @@ class Plant:
 
     def _update_discrete_states(self) -> None:
         """Copy values and update discrete states until nothing changes, and enter continuous-time mode."""
+        self.changed.clear()
         updates = {name: slave.update for name, slave in self.slaves.items()}
         ended, times = settle(self.system.name, updates, self._copied_discrete)
         self.ended, self.next_event = ended or self.ended, min(times.values(), default=np.inf)
@@ -472,6 +474,7 @@ class Plant:
             elif not (same := self.slaves[c.target.component].get(c.target.variable) == value):
                 self.slaves[c.target.component].set(c.target.variable, value)
             changed += [str(c.source)] * (not same)
+        self.changed += changed
         return changed
 
     def magnitudes(self) -> Array:

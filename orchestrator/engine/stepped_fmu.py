@@ -55,8 +55,7 @@ class SavedState:
 class SteppedFmu(ExchangeFmu):
     """A running FMU for Model Exchange that masters step like one for Co-Simulation.
 
-    stops      steps end before an event
-    happened   times of the events that took place otherwise [s]
+    stops   steps end before an event
     """
 
     event_mode, stops = True, False
@@ -73,7 +72,6 @@ class SteppedFmu(ExchangeFmu):
         self._row = {port.variable: i for i, port in enumerate(self._plant.inputs)}
         self._rates = [*self._declared_rates()]
         self._integration: _Stepped | None = None
-        self.happened: list[float] = []
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
         """Announce the experiment; times in [s]."""
@@ -170,8 +168,13 @@ class SteppedFmu(ExchangeFmu):
     def event_alone(self, write: Call) -> None:
         """An event of this FMU alone, in which variables are set."""
         self._plant.read()
-        self.happened.append(self._time)
+        self._running.happened.append((self._time, ()))
         super().event_alone(write)
+
+    @property
+    def happened(self) -> Sequence[float]:
+        """Times of the events that took place inside of steps, or of this FMU alone [s]."""
+        return [t for t, _ in self._integration.happened] if self._integration else []
 
     # ---- rollback
 
@@ -183,7 +186,7 @@ class SteppedFmu(ExchangeFmu):
         return SavedState(
             self.fmu.save(before) if self._saves else None,
             *(self._time, plant.x.copy(), plant.v.copy()),
-            *(plant.next_event, len(self.happened), integration.sides),
+            *(plant.next_event, len(integration.happened), integration.sides),
         )
 
     def restore(self, state: SavedState) -> None:
@@ -191,12 +194,12 @@ class SteppedFmu(ExchangeFmu):
         integration = self._running
         if self._saves:
             self.fmu.restore(state.fmu)
-        elif len(self.happened) != state.events:
+        elif len(integration.happened) != state.events:
             expected = "expected an FMU that can save its state, to repeat a step with an event"
             raise Problem(self.log.error_message("going back", expected))
         self._time, self._plant.next_event = state.time, state.next_event
         self.next_event, integration.sides = state.next_event, state.sides
-        del self.happened[state.events :]
+        del integration.happened[state.events :]
         self._course[0], self._course[1:] = state.v, 0.0
         integration.evaluate(state.time, state.x)
 
@@ -235,7 +238,6 @@ class _Stepped(Integration):
         if self._fmu.stops:
             self.settle(t, x)
             raise AtEvent(t)
-        self._fmu.happened.append(t)
         return super().event(t, x)
 
     def _step_event(self, t: float, x: Array) -> Array | None:
@@ -245,10 +247,8 @@ class _Stepped(Integration):
             after = super()._step_event(t, x)
         finally:
             self._fmu.stops = stops
-        if after is None:
-            self._fmu.happened.pop()
-        elif stops and not self.plant.ended:
-            self._fmu.happened.pop()
+        if after is not None and stops and not self.plant.ended:
+            self.happened.pop()  # it is that of all components
             raise AtEvent(t)
         return after
 

@@ -262,11 +262,19 @@ static int restart(Simulation *sim, Mask machines) {
 }
 
 /* Exchanges the values after a jump of the scenario. */
-static int jump(Simulation *sim) {
+static int jump(Simulation *sim, Mask machines) {
     sim->scenario->since = sim->t;
     sim->scenario->evaluated_at = NAN;
-    return simulation_exchange(sim, sim->t);
+    const int verdict = simulation_exchange(sim, sim->t);
+    return verdict ? verdict : restart(sim, machines);
 }
+
+#if WIDTH == 1
+static int go_through_events(Simulation *sim) {
+    const int verdict = event_instant(sim);
+    return verdict ? verdict : restart(sim, EVERY_MACHINE);
+}
+#endif
 
 /* Tries the next step of each machine once. */
 static int next_step(Simulation *sim) {
@@ -281,10 +289,7 @@ static int next_step(Simulation *sim) {
     if (!any(done)) {
         sim->repeated++;
 #if WIDTH == 1
-        if (sim->events.due) { /* at the beginning of the step */
-            verdict = event_instant(sim);
-            return verdict ? verdict : restart(sim, EVERY_MACHINE);
-        }
+        if (sim->events.due) return go_through_events(sim); /* at the beginning of the step */
 #endif
         return CONTINUE;
     }
@@ -296,12 +301,10 @@ static int next_step(Simulation *sim) {
     const int there = !any(sim->alive && sim->t < point);
     sim->done += there;
     const Mask jumps = sim->scenario && !sim->scenario->commands ? scenario_jumps(sim->scenario, sim->t, done) : NO_MACHINE;
-    Mask restarts = jumps;
-    verdict = any(jumps) ? jump(sim) : CONTINUE;
+    verdict = any(jumps) ? jump(sim, jumps) : CONTINUE;
 #if WIDTH == 1
-    if (!verdict && event_due(sim)) verdict = event_instant(sim), restarts = EVERY_MACHINE;
+    if (!verdict && event_due(sim)) verdict = go_through_events(sim);
 #endif
-    if (!verdict && any(restarts)) verdict = restart(sim, restarts);
     if (verdict) return verdict;
     if (there || sim->free || sim->diverged) record(sim);
     return CONTINUE;
