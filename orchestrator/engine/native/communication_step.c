@@ -29,7 +29,7 @@
 /* The constant or the line with the end of a polynomial, for events of an FMU that follow from its inputs. */
 static void end_exactly(Real c[], int32_t degree, Real h) {
     const Real end = polynomial_value(c, h);
-    c[1] = degree ? (end - c[0]) / h : 0.0 * h;
+    c[1] = degree && any(h > 0.0) ? (end - c[0]) / h : c[1] * (double)(degree > 0); /* h = 0 where inputs begin */
     if (!degree) c[0] = end;
     c[2] = c[3] = 0.0;
 }
