@@ -57,6 +57,14 @@ class Ended(Problem):
     reached = float("nan")
 
 
+class AtEvent(Exception):
+    """An FMU has stopped at an event at the time `reached` [s]."""
+
+    def __init__(self, reached: float) -> None:
+        super().__init__()
+        self.reached = reached
+
+
 class LimitReached(Problem):
     """A limit of a run has ended its process; `limit`: time_limit or memory_limit."""
 

@@ -32,7 +32,7 @@ from orchestrator.engine.job import Job, Options, is_late
 from orchestrator.engine.result import Result, RunEnd, RunFailed, SignalError, signal_errors
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.ssp.coupling import LARGEST_STEP, Coupling, take_coupling
-from orchestrator.ssp.dependencies import influential_inputs
+from orchestrator.ssp.dependencies import influential_events, influential_inputs
 from orchestrator.ssp.masters import Master
 from orchestrator.ssp.power_bonds import ANGULAR_VELOCITY, VELOCITY, find_bonds
 from orchestrator.ssp.system import Port, System
@@ -144,7 +144,7 @@ class AccuracySearch:
         self._tolerance = options.get("tolerance") or fmu_tolerance(accuracy)
         self._repeats = all(i.rollback for i in interfaces)
         self._adapts = self._repeats and all(i.variable_step for i in interfaces)
-        self._estimates = estimates_errors(system)
+        self._estimates, self._events = estimates_errors(system), influential_events(system)
         targets = {connection.target for connection in system.connections}
         # outputs whose jumps the estimate would not see: it sees those at which steps are divided
         sources, divided = influential_outputs(system), self._estimates and self._adapts
@@ -235,7 +235,9 @@ class AccuracySearch:
             last = f" in run {self.runs}" * (self.runs > 1)
             reached = f"estimated RMS error {error:.1e} of the range{last}"
             jumping = [n for n in self._causes if n in self._jumping or _jumps(result.trace, n)]
-            if jumping:
+            if self._events:
+                reached = f"not known, because of {self._events}; without: {reached}"
+            elif jumping:
                 reached = f"not known, because {first_names(jumping)} jumps; without jumps: {reached}"
             elif self._hidden:
                 moves = f"{first_names(self._hidden)} moves between any two points"
@@ -362,10 +364,11 @@ def followed(system: System, output: Port) -> bool:
 
 
 def estimates_errors(system: System) -> bool:
-    """Do the FMUs declare what the estimate of errors during a run needs?"""
+    """Do the FMUs declare what the estimate of errors during a run needs, and have no events?"""
     wired = {connection.target.component for connection in system.connections}
     fed = wired & {port.component for port in influential_inputs(system)}
-    return bool(fed) and all(system.components[name].interface.linearisable for name in fed)
+    linear = all(system.components[name].interface.linearisable for name in fed)
+    return bool(fed) and linear and not influential_events(system)
 
 
 def decisive_signals(system: System, patterns: Sequence[str] = ()) -> list[str]:

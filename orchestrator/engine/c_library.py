@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.compiler import PLATFORMS, host, linker_arguments, shared_library
-from orchestrator.base.errors import Discarded, Problem
+from orchestrator.base.errors import AtEvent, Discarded, Problem
 from orchestrator.base.units import LinearTransformation
 from orchestrator.fmi.calls import Access, Call, DirectionalDerivative, ExchangeCall, Slave
 from orchestrator.fmi.description import WHOLE
@@ -159,6 +159,7 @@ class Binding:
     components   the `RunningComponent` of each index, for callbacks about a component
     withdraw     called before a step is repeated
     master       called with start and length of a step [s] that Python takes
+    instant      called with the time [s] of an instant of events, and True if its step cannot be repeated
     logs         of the FMUs that may change the floating-point environment, in the order of `components`
     problem      the exception that ended the last call; None if there was none
 
@@ -174,6 +175,7 @@ class Binding:
         self.components: Sequence[Any] = ()
         self.withdraw: Callable[[], None] = lambda: None
         self.master: Callable[[float, float], None] = lambda _t, _h: None
+        self.instant: Callable[[float, bool], None] = lambda _t, _never: None
         self.logs: Sequence[Log] = ()
         self._checks: dict[int, StatusCheck] = {}
         self._calls: list[Call] = []
@@ -327,6 +329,8 @@ class Binding:
             return self._verdict(self._calls[index])
         if request == self.h.MASTER:
             return self._verdict(lambda: self.master(t, h))
+        if request == self.h.INSTANT:
+            return self._verdict(lambda: self.instant(t, index < 0))
         component = self.components[index]
         if request == self.h.STEP:
             return self._verdict(lambda: component.slave.step(t, h))
@@ -339,6 +343,9 @@ class Binding:
         except Discarded as problem:
             self.problem, self.simulation.reached = problem, problem.reached
             return cast(int, self.h.DISCARDED)
+        except AtEvent as stop:
+            self.simulation.reached = stop.reached
+            return cast(int, self.h.AT_EVENT)
         except Problem as problem:
             self.problem = problem
             return cast(int, self.h.STOP)

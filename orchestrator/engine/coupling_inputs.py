@@ -32,7 +32,7 @@ class CouplingInputs:
 
     def __init__(self, network: Network, plan: Plan) -> None:
         self._network, self._plan = network, plan
-        self._h = engine_h()
+        self.h = engine_h()
         self.driven = network.driven.continuous if network.driven else []
         self._varied = {c.target for c in plan.varying}
         connections = self._candidates()
@@ -49,7 +49,7 @@ class CouplingInputs:
 
     def array(self, binding: Binding) -> Any:
         """The inputs as an array of structures."""
-        return binding.array(self._h.CouplingInput, self.inputs)
+        return binding.array(self.h.CouplingInput, self.inputs)
 
     @property
     def power(self) -> int:
@@ -64,7 +64,7 @@ class CouplingInputs:
         """Remarks on abilities that the master would use but the FMUs lack."""
         if not self._plan.needs_slopes:
             return ()
-        names, h = {i: str(p) for p, i in self._network.reals.index.items()}, self._h
+        names, h = {i: str(p) for p, i in self._network.reals.index.items()}, self.h
         connected = [s for s in self.inputs if s.source_component != h.DRIVEN and s.requested_degree]
         needed = [self._plan.needs_slopes_of(name) for name in self._network.slaves]
         differences = [s.source for s in connected if not s.source_slope and needed[s.source_component]]
@@ -72,7 +72,10 @@ class CouplingInputs:
         notes = {
             f"input derivatives from differences of values, {reason}": differences,
             "inputs held at their mean over a step, because the FMUs accept no input derivatives": [
-                s.target for s in connected if s.fmu_degree == 0
+                s.target for s in connected if s.fmu_degree == 0 and not s.at_end
+            ],
+            "inputs held at their value at the end of a step, because the FMUs have events": [
+                s.target for s in connected if s.fmu_degree == 0 and s.at_end
             ],
             "inputs linear over a step, because the FMUs accept first derivatives only": [
                 s.target for s in connected if 0 < s.fmu_degree < s.requested_degree
@@ -90,13 +93,9 @@ class CouplingInputs:
         return [
             c
             for c in (network.system.connections if plan.watches else plan.varying)
-            if self._is_continuous(c)
+            if network.system.is_continuous(c)
             if variable(c.target).causality == "input" and network.is_influential(c.target)
         ]
-
-    def _is_continuous(self, c: Connection) -> bool:
-        """Are both ends of a connection continuous?"""
-        return all(self._network.system.variable(port).is_continuous for port in (c.source, c.target))
 
     def _find_rate_driven(self, candidates: set[Port]) -> set[Port]:
         """Inputs that an FMU varies from a connected rate input, and rate inputs of candidates."""
@@ -156,8 +155,8 @@ class CouplingInputs:
             members = self._from_output(port, connection)
         else:  # from the scenario
             degree = self._network.slaves[port.component].input_degree(port.variable, 1)
-            members = {"source_component": self._h.DRIVEN, "fmu_degree": degree, "requested_degree": 1}
-        return self._h.CouplingInput(**{"target": target, "scale": abs(nominal), "source": -1, **members})
+            members = {"source_component": self.h.DRIVEN, "fmu_degree": degree, "requested_degree": 1}
+        return self.h.CouplingInput(**{"target": target, "scale": abs(nominal), "source": -1, **members})
 
     def _from_output(self, port: Port, connection: Connection) -> dict[str, Any]:
         network, plan, varied = self._network, self._plan, port in self._varied
@@ -223,6 +222,8 @@ class CouplingInputs:
         for i, k in enumerate(order):
             before = {names[j] for j in order[:i]}
             incoming = [c for c in self._network.connections if c.target.component == names[k]]
-            incoming = [c for c in incoming if self._is_continuous(c) and c.target not in varying]
+            incoming = [
+                c for c in incoming if self._network.system.is_continuous(c) and c.target not in varying
+            ]
             held[k] = [c for c in incoming if c.source.component in before]
         return held

@@ -26,6 +26,7 @@ from orchestrator.fmi.messages import ERROR
 from orchestrator.ssp.system import Port
 
 MAX_EVENTS = 1000  # at one time
+NAMED_EVENTS = 10  # whose signals a message names
 
 
 class Solver(Protocol):
@@ -45,6 +46,7 @@ class Integration:
     same        times that are closer are equal [s]
     counts      evaluations, Jacobians, indicators, steps, events
     sampled     external inputs that are not continuous: their changes are events
+    happened    times of the events [s], each with the signals, not continuous, that changed
     broken      an FMU has failed, which forbids further calls (FMI 2.0.5, 2.1.3), or the user has interrupted
     """
 
@@ -54,7 +56,7 @@ class Integration:
         self.plant, self.tolerance, self.same = plant, tolerance, same
         self.counts = Counter[str]()
         self.problem: BaseException | None = None
-        self.broken = False
+        self.broken, self.happened = False, list[tuple[float, tuple[str, ...]]]()
         self._at: tuple[float, bytes] = (np.nan, b"")
 
     # ---- for subclasses
@@ -149,8 +151,10 @@ class Integration:
             event |= self.equal(t, self.plant.next_event) or bool(self.sampled and self.equal(t, change))
             repeated = 1 if self.before(begin, t) else repeated + 1
             if repeated > MAX_EVENTS:
+                names = dict.fromkeys(name for _, causes in self.happened[-NAMED_EVENTS:] for name in causes)
                 expected = f"expected at most {MAX_EVENTS} events at one time"
-                raise Problem(f"{self.plant.system.name}: t = {t:.9g} s: {expected}")
+                which = f": {', '.join(names)}" if names else ""
+                raise Problem(f"{self.plant.system.name}: t = {t:.9g} s: {expected}{which}")
             if event:
                 x = self.event(t, x)
             self.arrived(t, x)
@@ -184,7 +188,10 @@ class Integration:
         after = self.event(t, x)
         self.settle(t, after)
         same = np.array_equal(after, x) and np.array_equal(self.plant.f, f)
-        return None if same and self.plant.next_event == next_event and not self.plant.ended else after
+        if not same or self.plant.next_event != next_event or self.plant.ended:
+            return after
+        self.happened.pop()
+        return None
 
     def _without_states(self, t: float, x: Array, target: float) -> tuple[float, Array, bool]:
         """Outputs alone over the recorded points; an event between two of them is located to rounding."""
@@ -211,6 +218,7 @@ class Integration:
         self.counts["events"] += 1
         self.settle(t, x)
         self.plant.event(partial(self.set_discrete, t))
+        self.happened.append((t, tuple(dict.fromkeys(self.plant.changed))))
         self._at = (np.nan, b"")
         return self.plant.x.copy()
 

@@ -223,6 +223,10 @@ class Network:
     loops            potential algebraic loops
     exchange_calls   all calls of one exchange, in order, except `first_reads`, of the outputs of stage 0, and
                      those that set the driven inputs after them
+    with_events      components whose FMUs take inputs that are not continuous in event mode
+    instant_calls    calls that set inputs that are not continuous, for FMUs that take them in event mode only
+    discrete         array -> those inputs, and others that are not continuous and influence a state; and
+                     their values at the last instant
     """
 
     def __init__(
@@ -233,10 +237,12 @@ class Network:
         recorded: Iterable[Port] | None = None,
         substeps: Mapping[str, int] | None = None,
         binding: Binding | None = None,
+        events: bool = False,
     ) -> None:
         """recorded: ports that are recorded, connected or not; default: all outputs and all exposed inputs.
 
         substeps: how many steps components take in one communication step; default: 1.
+        events: FMUs with event mode take inputs that are not continuous there, see `events.Instants`.
         """
         self.system, self.slaves, self.binding = system, slaves, binding or Binding()
         made = [self.binding.h.Component(substeps=(substeps or {}).get(name, 1)) for name in slaves]
@@ -245,6 +251,7 @@ class Network:
             name: RunningComponent(slave, self._structs[k]) for k, (name, slave) in enumerate(slaves.items())
         }
         self._influential = influential_inputs(system)
+        self.with_events = {n for n, s in slaves.items() if events and getattr(s, "event_mode", False)}
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.reals, self.integers = SignalArray("reals", np.float64), SignalArray("integers", np.int64)
         self.rates = scenario.rates(system) if scenario else {}
@@ -263,8 +270,16 @@ class Network:
         self.first_reads = [self._get_call(array, b) for array, b in output_blocks if 0 in b.stages]
         self.exchange_calls = self._exchange(output_blocks, input_blocks)
         self.driven: DrivenInputs | None = None
+        inputs = [*(c.target for c in self.connections), *driven]
+        held = [p for p in inputs if self._is_held(p)]
+        self.instant_calls = [self._set_call(*block) for block in self._blocks_of(set(held))]
+        others = [c.target for c in self.connections if not system.is_continuous(c)]
+        watched = dict.fromkeys([*held, *(p for p in others if p in self._influential)])
+        found = {a.name: [p for p in watched if p in a.index] for a in (self.reals, self.integers)}
+        dtypes = {"reals": np.float64, "integers": np.int64}
+        self.discrete = {name: (ports, np.zeros(len(ports), dtypes[name])) for name, ports in found.items()}
         if scenario:
-            calls = self.set_calls({*scenario.columns, *self.rates})
+            calls = self.set_calls({p for p in (*scenario.columns, *self.rates) if not self._is_held(p)})
             self.driven = DrivenInputs(scenario, system, self.reals.index, self.integers.index, calls)
 
     @property
@@ -275,6 +290,10 @@ class Network:
     def is_influential(self, port: Port) -> bool:
         """Does a state depend on this input, directly or through other components?"""
         return port in self._influential
+
+    def _is_held(self, port: Port) -> bool:
+        """Does its FMU take an input or parameter in event mode only?"""
+        return port.component in self.with_events and not self.system.variable(port).is_continuous
 
     # ---- calls
 
@@ -351,8 +370,10 @@ class Network:
         output_blocks, input_blocks = Blocks(), Blocks()
         for array in (self.reals, self.integers):
             for stages, blocks in ((outputs, output_blocks), (inputs, input_blocks)):
-                of_array = {p: s for p, s in stages.items() if self._array(p) is array}
-                blocks += [(array, b) for b in array.add(self.system, of_array)]
+                for held in (False, True):  # in blocks of their own
+                    same = {p: s for p, s in stages.items() if held is self._is_held(p)}
+                    of_array = {p: s for p, s in same.items() if self._array(p) is array}
+                    blocks += [(array, b) for b in array.add(self.system, of_array)]
         return output_blocks, input_blocks
 
     def _exchange(self, output_blocks: Blocks, input_blocks: Blocks) -> list[Any]:
@@ -367,7 +388,8 @@ class Network:
             loops_with_stages = zip(self.loops, self.order.cycles, strict=True)
             calls += [loop.instruction for loop, (_, stages) in loops_with_stages if stage in stages]
             calls += self._copies([c for c in connections if stage in self.order.stages[c.source]])
-            calls += [self._set_call(array, b) for array, b in input_blocks if stage in b.stages]
+            inputs = [(array, b) for array, b in input_blocks if not self._is_held(b.ports[0])]
+            calls += [self._set_call(array, b) for array, b in inputs if stage in b.stages]
         return calls
 
     # ---- C
@@ -387,6 +409,12 @@ class Network:
         sim.first_reads, sim.exchange = map(binding.program, (self.first_reads, self.exchange_calls))
         sim.loops = binding.at(np.array([loop.address for loop in self.loops], np.uint64))
         sim.loop_count = len(self.loops)
+        for array in (self.reals, self.integers):
+            ports, values = self.discrete[array.name]
+            kind = array.name.removesuffix("s")
+            setattr(sim.events, f"{kind}_targets", binding.at(array.indices(ports)))
+            setattr(sim.events, array.name, binding.at(values))
+            setattr(sim.events, f"{kind}_count", len(ports))
         # slopes of outputs of each stage need those of the one before
         sim.initial_rounds = self.order.count + 1
 

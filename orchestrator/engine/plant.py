@@ -33,6 +33,7 @@ from orchestrator.engine.network import initialise
 from orchestrator.engine.scenario import DrivenInputs, Scenario
 from orchestrator.fmi.calls import Slave, calls_by_type
 from orchestrator.fmi.description import Value
+from orchestrator.fmi.instance import settle
 from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
 from orchestrator.ssp.system import Connection, Inlet, Port, System
 
@@ -92,9 +93,6 @@ def _range(part: slice) -> range:
     return range(part.start, part.stop)
 
 
-MAX_EVENT_ITERATIONS = 100  # at one event
-
-
 class Matrices(NamedTuple):
     """The matrices A, B, C, D of a linear model."""
 
@@ -117,6 +115,7 @@ class Plant:
     nominal                   nominal values of the states
     indicator_count           number of event indicators of all components
     next_event                time of the next time event [s]; infinite if there is none
+    changed                   signals, not continuous, that have changed in the last event
     ended                     name of the component that requested the end of the simulation; empty if none
     """
 
@@ -130,7 +129,7 @@ class Plant:
         """running: its components, if they are instantiated; binding: one that was made before them."""
         self.system, self.inlets, self._binding = system, inlets, binding or Binding()
         self._binding.simulation.careful = True
-        self.next_event, self.ended = np.inf, ""
+        self.next_event, self.ended, self.changed = np.inf, "", list[str]()
         self.slaves = dict(running or {})
         self.members: list[PlantComponent] = []
         try:
@@ -447,39 +446,35 @@ class Plant:
 
     def _update_discrete_states(self) -> None:
         """Copy values and update discrete states until nothing changes, and enter continuous-time mode."""
-        updated, iterations = False, 0
-        while True:
-            for k in range(len(self.members)):
-                self._call("plant_evaluate", k, False)
-            self._call("plant_connect")
-            if not self._copied_discrete() and updated:
-                break
-            if iterations == MAX_EVENT_ITERATIONS:
-                expected = f"expected at most {MAX_EVENT_ITERATIONS} event iterations, got more"
-                raise Problem(f"{self.system.name}: {expected}: the discrete states do not settle")
-            again, self.next_event, iterations = False, np.inf, iterations + 1
-            for name, slave in self.slaves.items():
-                needed, ends, next_event = slave.fmu.update_discrete_states()
-                self.ended, self.next_event = name if ends else self.ended, min(self.next_event, next_event)
-                again |= needed
-            updated = not again
+        self.changed.clear()
+        updates = {name: slave.update for name, slave in self.slaves.items()}
+        ended, times = settle(self.system.name, updates, self._copied_discrete)
+        self.ended, self.next_event = ended or self.ended, min(times.values(), default=np.inf)
+        self.leave_events()
+
+    def leave_events(self) -> None:
+        """Enter continuous-time mode with the states and inputs of the components."""
         for member in self.members:
             member.slave.fmu.call("EnterContinuousTimeMode")
         self._call("plant_start")
         self._struct.inverse_state = self._binding.h.MISSING
 
-    def _copied_discrete(self) -> bool:
-        """Copy values along the connections of variables that are not continuous; False if none changed."""
-        changed, at = False, self._index
+    def _copied_discrete(self) -> list[str]:
+        """Copy values along all connections; the sources of variables, not continuous, that have changed."""
+        changed, at = list[str](), self._index
+        for k in range(len(self.members)):
+            self._call("plant_evaluate", k, False)
+        self._call("plant_connect")
         for c in self._discrete:
             value = self.slaves[c.source.component].get(c.source.variable)
             value = c.carried(value, self.system.variable(c.target))
             if c.target in at:
-                changed |= bool(self.constant[at[c.target]] != value)
+                same = bool(self.constant[at[c.target]] == value)
                 self.constant[at[c.target]] = self.external[at[c.target]] = value
-            elif self.slaves[c.target.component].get(c.target.variable) != value:
+            elif not (same := self.slaves[c.target.component].get(c.target.variable) == value):
                 self.slaves[c.target.component].set(c.target.variable, value)
-                changed = True
+            changed += [str(c.source)] * (not same)
+        self.changed += changed
         return changed
 
     def magnitudes(self) -> Array:

@@ -36,6 +36,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@dataclass(frozen=True)
+class Event:
+    """An event of a run: its time [s], the components that asked for it, and the signals that changed at it.
+
+    The signals are those that are not continuous and feed others.
+    """
+
+    time: float
+    causes: tuple[str, ...]
+
+
 @dataclass(frozen=True, repr=False)
 class Result(Mapping[str, NDArray[np.float64]]):
     """The result of a run, and a mapping of the names of its signals to their values, as its trace.
@@ -65,7 +76,13 @@ class Result(Mapping[str, NDArray[np.float64]]):
         """Write the trace as .csv, .parquet or .mat, and the metadata of the run next to it."""
         file = write_trace(self.trace, path, metadata_text(self, ""))
         write_metadata(self, file)
+        write_events(self.events, file)
         return file
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """The events of FMUs that the run has handled, by time."""
+        return self.card.events
 
     def noted(self, *notes: str, errors: tuple[SignalError, ...] | None = None) -> Result:
         """This result with further notes, and with other estimates of errors, on its card."""
@@ -271,6 +288,7 @@ class Card:
     unreliable    why the result is not reliable, also in `warnings`; empty if it is
     inside        component -> wall time in its steps; the remaining wall time is coupling and recording
     errors        of signals; errors_of_inputs: estimated during the run, else changes in further runs
+    events        of FMUs
     """
 
     master: str
@@ -290,6 +308,7 @@ class Card:
     adaptive: float | None = None
     errors_of_inputs: bool = False
     unreliable: tuple[str, ...] = ()
+    events: tuple[Event, ...] = ()
 
     def doubted(self, *reasons: str) -> Card:
         """This card with reasons why the result is not reliable."""
@@ -329,7 +348,9 @@ class Card:
             text = f"tolerance {self.adaptive:g}, {self.steps} steps of {shortest} to {longest} ms"
         if (passes := f"{self.passes / max(self.steps, 1):.3g}") not in ("0", "1"):
             text += f", {passes} passes each"
-        return text + (f", {self.repeated} repeated" if self.repeated else "")
+        text += f", {self.repeated} repeated" if self.repeated else ""
+        count = len(self.events)
+        return text + (f", {count} event{'s' * (count > 1)}" if count else "")
 
     def _error_lines(self) -> list[str]:
         """The worst error, or change, of a signal in each unit."""
@@ -384,6 +405,7 @@ class RunEnd:
     t             simulated until this time [s]
     steps, ...    as in `Card`
     errors        estimated during the run, by output
+    events        that were handled, by time
     logs          messages of the FMUs
     notes         remarks on the run
     problem       why the run ended early; None if it is complete
@@ -400,6 +422,7 @@ class RunEnd:
     bonds: tuple[BondEnergy, ...] = ()
     errors: Mapping[str, EstimatedError] = field(default_factory=dict)
     inside: Mapping[str, float] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
     logs: tuple[Log, ...] = ()
     notes: tuple[str, ...] = ()
     problem: Problem | None = None
@@ -616,6 +639,24 @@ def write_metadata(result: Result, trace: Path) -> Path:
     """Write the metadata of a run next to its trace, which exists."""
     text = metadata_text(result, Location(trace).sha256)
     return write_whole(metadata_file(trace), text)
+
+
+def events_file(trace: Path) -> Path:
+    """The file with the times of the events of a run, next to its trace."""
+    return trace.with_suffix(".events.csv")
+
+
+def events_text(events: Sequence[Event]) -> str:
+    """A line for each event: its time [s] and its causes."""
+    return "".join(["time,causes\n", *(f"{e.time!r},{' '.join(e.causes)}\n" for e in events)])
+
+
+def write_events(events: Sequence[Event], trace: Path) -> None:
+    """Write the events of a run next to its trace; without any, remove those of an earlier run."""
+    if events:
+        write_whole(events_file(trace), events_text(events))
+    else:
+        events_file(trace).unlink(missing_ok=True)
 
 
 def read_metadata(path: Path) -> RunMetadata | None:

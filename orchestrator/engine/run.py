@@ -34,6 +34,7 @@ from orchestrator.engine.result import (
     changes,
     metadata_file,
     metadata_text,
+    write_events,
 )
 from orchestrator.engine.scenario import ScenarioFile, ScenarioSource
 from orchestrator.engine.time_grid import RECORD_STEP, Grid, record_interval, step_length
@@ -160,7 +161,7 @@ def with_error_estimate(job: Job, result: Result) -> Result:
 
     If the run itself has estimated its errors, there are no further runs.
     """
-    if late := late_effects(job.system):
+    if late := late_effects(job.system, job.coupling):
         reason = f"effects of {late} may come up to a step late, also in a run at half the step"
         return replace(result, errors=None).noted(f"no error estimate: {reason}", errors=())
     if result.card.errors_of_inputs:
@@ -189,6 +190,10 @@ def with_error_estimate(job: Job, result: Result) -> Result:
         return result.noted(f"no error estimate, the run at {setting} failed: {failed}")
     except Interrupted as interrupted:
         raise Interrupted(result, str(interrupted)) from None
+    counts = len(result.events), len(fine.events)
+    if counts[0] != counts[1]:
+        reason = f"{counts[0]} events, and {counts[1]} in the run to compare with"
+        return result.noted(f"no error estimate: {reason}", errors=())
     errors = changes(coarse, result, fine)
     notes = () if errors else ("no error estimate: no output changes",)
     return result.noted(*notes, errors=errors)
@@ -306,6 +311,7 @@ class _Output:
         complete, digest = file.finish(check)
         metadata = metadata_text(result, digest, self._given, file.layout)
         file.publish(complete, {metadata_file(file.path): metadata})
+        write_events(result.events, file.path)
         self._complete, self.line = result, self._summary(result.card, file.path)
 
     def explain(self, error: Exception, result: Result | None) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from copy import copy
 from ctypes import c_double
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -25,16 +25,18 @@ from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, in_process, library
 from orchestrator.engine.coupling_inputs import CouplingInputs
+from orchestrator.engine.events import Instants
 from orchestrator.engine.job import ENDS_EARLY, Job, guarded, open_slave
 from orchestrator.engine.linear_system import ErrorPropagation, LinearPrediction
 from orchestrator.engine.network import Network, initialise
 from orchestrator.engine.own_master import Components
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
-from orchestrator.engine.result import RunEnd
+from orchestrator.engine.result import Event, RunEnd
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.ssp.dependencies import late_effects
+from orchestrator.ssp.dependencies import influential_events, late_notes, uses_events
+from orchestrator.ssp.masters import plan_with_events
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.system import Port, System
 
@@ -85,6 +87,7 @@ def run_job(
             bonds=tuple(loop.energy.energies()),
             errors=loop.errors.errors() if loop.errors else {},
             inside=loop.inside,
+            events=loop.events,
             logs=tuple(copy(s.log) for s in network.slaves.values()),
             notes=network.notes + job.times.notes + loop.notes + loop.recorder.notes,
             problem=problem,
@@ -131,18 +134,22 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
     selected = None if signals is None else [job.system.port(name) for name in signals]
     library()  # raises Problem if there is none, before any FMU is opened
     _check_instances(job.system)
+    events = uses_events(job.system, job.coupling)
     with ExitStack() as stack:
         slaves: dict[str, Slave] = {}
         binding = Binding(allocate)
         stack.callback(binding.restore_environment)
         with archive_kept_open():
             for name, component in job.system.components.items():
+                if component.interface.event_mode and not events:
+                    component = replace(component, interface=replace(component.interface, event_mode=False))
                 slaves[name] = slave = job.options.get("open", open_slave)(component)
                 stack.callback(slave.close)
                 binding.restore_environment(slave)
                 if isinstance(slave, RunningFmu):
                     slave.fmu.after = binding.restore_environment
-        network = Network(job.system, slaves, job.scenario, selected, job.coupling.factors, binding)
+        factors = job.coupling.factors
+        network = Network(job.system, slaves, job.scenario, selected, factors, binding, events)
         stack.callback(network.free_saved_states)
         loop = SimulationLoop(job, network, sink, selected)
         stack.callback(loop.close)
@@ -245,7 +252,12 @@ class SimulationLoop:
         self._binding, self.state = network.binding, network.binding.simulation
         master = job.coupling.method
         estimate, plan = job.options.get("error_estimate", False), master.planned(job.system, job.coupling)
-        self._plan = plan = plan.with_estimate(fast=estimate == "fast") if estimate else plan
+        if influential_events(job.system):  # the estimate is one of a linear system
+            estimate = False
+        plan = plan.with_estimate(fast=estimate == "fast") if estimate else plan
+        if network.with_events and len(network.components) > 1:
+            plan = plan_with_events(plan, job.system)
+        self._plan = plan
         if master.step:
             network.binding.master = partial(Components(network).over, master)
             self.state.in_python = True
@@ -257,6 +269,7 @@ class SimulationLoop:
         self._control = step_control(job)
         self._components = [*network.components.values()]
         self._threads_undecided = not (plan.sequential or master.step) and len(self._components) > 1
+        self._instants = Instants(network, inputs, job.times) if network.with_events else None
         self._fill(prediction)
         if estimate and not master.step:
             errors = ErrorPropagation(network, inputs, max(job.times.every, FEWEST_STEPS))
@@ -264,9 +277,13 @@ class SimulationLoop:
                 errors.fill(self._binding)
                 self.errors = errors
         of_prediction = prediction.notes if prediction else ()
-        late = late_effects(job.system)
-        of_late = (f"effects of {late} on other FMUs may come up to a step late",) if late else ()
-        self.notes = (*of_late, *plan.notes, *_rollback_notes(job), *inputs.notes, *of_prediction)
+        self.notes = (
+            *late_notes(job.system, job.coupling),
+            *plan.notes,
+            *_rollback_notes(job),
+            *inputs.notes,
+            *of_prediction,
+        )
 
     def _initialise(self, job: Job) -> None:
         """Initialise all FMUs."""
@@ -283,10 +300,20 @@ class SimulationLoop:
         components = {} if self.state.in_python else self.network.components
         return {name: c.struct.busy * self.state.tick for name, c in components.items()}
 
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """The events so far, by time."""
+        inside = {name: getattr(slave, "happened", ()) for name, slave in self.network.slaves.items()}
+        found = [Event(t, (name,)) for name, times in inside.items() for t in times]
+        found += self._instants.happened if self._instants else ()
+        return tuple(sorted(found, key=lambda event: event.time))
+
     # ---- the run
 
     def begin(self) -> None:
         """Exchange all values at the start, and record them."""
+        if self._instants:
+            self._instants.begin()
         self._binding.call("simulation_begin")
         self.recorder.collect()
 
@@ -330,10 +357,17 @@ class SimulationLoop:
         if prediction:
             binding.call("simulation_exchange", c_double(self.times.start))
             order = prediction.begin()
+            if self._instants and self._plan.prediction:
+                leading = order[: self._plan.prediction.leading_count]
+                last = [k for k in self._plan.order if self._components[k].struct.events and k not in leading]
+                order = [*(k for k in order if k not in last), *last]
             prediction.fill(binding)
         self._fill_plan(order, prediction)
         self.recorder.fill(binding)
         self.energy.fill(binding)
+        if self._instants:
+            self._instants.fill()
+            binding.instant = self._instants
         binding.withdraw = self._withdraw_messages
 
     def _fill_times(self, times: Grid) -> None:
@@ -348,7 +382,9 @@ class SimulationLoop:
     def _plan_rollback(self) -> None:
         """Decide which components save their states or step in halves, and whether all can go back."""
         iterates = self._plan.passes > 1 and len(self._plan.repeated) > 0
-        saves = iterates or (self._control is not None and self._control.repeats)
+        saves = (
+            iterates or (self._control is not None and self._control.repeats) or self._instants is not None
+        )
         pairs = [(c, c.slave.interface) for c in self._components]
         for c, interface in pairs:
             c.struct.rollback = saves and interface.rollback
@@ -359,7 +395,7 @@ class SimulationLoop:
     def _fill_plan(self, order: Sequence[int], prediction: LinearPrediction | None) -> None:
         """Fill the plan, the coupling inputs, and the calls between the steps of two components."""
         sim, plan, network, inputs = self.state, self._plan, self.network, self._inputs
-        held = inputs.held(order) if plan.sequential else [[] for _ in order]
+        held = inputs.held(order) if plan.sequential and not plan.parallel else [[] for _ in order]
         for k, (name, component) in enumerate(network.components.items()):
             # of the last one no component uses the outputs in the same step
             last = prediction is not None and k == order[-1] and not component.struct.halved
@@ -379,4 +415,4 @@ class SimulationLoop:
         sim.input_count = len(inputs.inputs)
         sim.order, sim.has_stepped = at(np.array(order, np.int32)), at(np.zeros(len(order), np.uint8))
         sim.degree, sim.passes = plan.degree, plan.passes
-        sim.sequential, sim.tolerance = plan.sequential, plan.tolerance
+        sim.sequential, sim.tolerance, sim.parallel = plan.sequential, plan.tolerance, plan.parallel

@@ -3,21 +3,21 @@
 Its continuous inputs are polynomials of time inside a step; the master gives their values and derivatives, or
 the inputs that the FMU declares as their time derivatives do.
 The method restarts at each step, and at the events of the FMU. When an input that is not continuous changes,
-at a communication point, there is an event, too.
+at a communication point, there is an event, too. If all components of the system go through events together,
+a step ends before an event (`AtEvent`); else events take place inside of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from math import factorial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.errors import Ended, Problem
+from orchestrator.base.errors import AtEvent, Problem
 from orchestrator.base.files import Location
 from orchestrator.data.table import Array
 from orchestrator.engine.c_library import Binding
@@ -25,7 +25,6 @@ from orchestrator.engine.integration import Integration, Solver
 from orchestrator.engine.plant import Plant
 from orchestrator.engine.radau import Radau
 from orchestrator.fmi.calls import Buffer, Call
-from orchestrator.fmi.description import Value
 from orchestrator.fmi.interface import CAPABILITIES
 from orchestrator.fmi.model_exchange import ExchangeFmu, check_states
 from orchestrator.ssp.system import Component, System
@@ -40,7 +39,7 @@ class SavedState:
     """What an FMU goes back to.
 
     fmu      its own saved state; None if it has no function for that
-    events   of the run so far
+    events   number of those that took place inside of steps so far
     sides    see `_Stepped`
     """
 
@@ -54,7 +53,12 @@ class SavedState:
 
 
 class SteppedFmu(ExchangeFmu):
-    """A running FMU for Model Exchange that masters step like one for Co-Simulation."""
+    """A running FMU for Model Exchange that masters step like one for Co-Simulation.
+
+    stops   steps end before an event
+    """
+
+    event_mode, stops = True, False
 
     def __init__(self, component: Component, fmu: Location) -> None:
         face = component.interface
@@ -78,7 +82,11 @@ class SteppedFmu(ExchangeFmu):
         """Leave initialisation mode, with the first event; ends in continuous-time mode."""
         super().exit()
         self._plant.begin(self._start)
-        self._time, self._integration = self._start, _Stepped(self._plant, self._tolerance, self._course)
+        self._time, self._integration = (
+            self._start,
+            _Stepped(self, self._plant, self._tolerance, self._course),
+        )
+        self.next_event = self._plant.next_event
 
     # ---- variables
 
@@ -90,27 +98,6 @@ class SteppedFmu(ExchangeFmu):
             while rate in self._row and order <= DEGREE:
                 yield order, row, self._row[rate]
                 rate, order = rate_of.get(rate), order + 1
-
-    def writer(self, variables: Sequence[str], values: Buffer) -> Call:
-        """A call that sets the variables; those that are not continuous in event mode, if they change."""
-        continuous = np.array([self.interface.variables[v].is_continuous for v in variables])
-        if continuous.all():
-            return super().writer(variables, values)
-        moving, held = np.flatnonzero(continuous), np.flatnonzero(~continuous)
-        buffers = [np.zeros(len(part), values.dtype) for part in (moving, held, held)]
-        names = [[variables[i] for i in part.tolist()] for part in (moving, held)]
-        write_moving = super().writer(names[0], buffers[0]) if len(moving) else None
-        write, read = super().writer(names[1], buffers[1]), self.reader(names[1], buffers[2])
-
-        def set_all() -> None:
-            buffers[0][:], buffers[1][:] = values[moving], values[held]
-            if write_moving:
-                write_moving()
-            read()
-            if not np.array_equal(buffers[1], buffers[2]):
-                self._jump(write)
-
-        return set_all
 
     def input_degree(self, variable: str, degree: int) -> int:
         """The highest degree, up to `degree`, of a polynomial that the FMU accepts as input."""
@@ -141,8 +128,13 @@ class SteppedFmu(ExchangeFmu):
         integration = self._running
         self._begin_course()
         # an event may have taken place a rounding error after the end of the last step
-        self._time = integration.over(max(t, self._time), t, h)
-        self._raise_ended()
+        try:
+            self._time = integration.over(max(t, self._time), t, h)
+        except AtEvent as stop:
+            self._time = stop.reached
+            raise
+        if self._plant.ended:
+            raise self.ended_at(self._time)
 
     @property
     def _running(self) -> _Stepped:
@@ -158,30 +150,31 @@ class SteppedFmu(ExchangeFmu):
         for order, of, rate in self._rates:
             self._course[order, of] = self._plant.v[rate] / factorial(order)
 
-    def set(self, variable: str, value: Value) -> None:
-        """Set one variable, in event mode if it is not continuous."""
-        write = partial(super().set, variable, value)
-        if self.interface.variables[variable].is_continuous:
-            write()
-        elif self._integration is None or self.get(variable) != value:
-            self._jump(write)
+    # ---- event mode
 
-    def _jump(self, write: Call) -> None:
-        """Set variables in event mode, or in initialisation mode."""
-        if self._integration is None:
-            write()
-            return
+    def update(self) -> tuple[bool, bool, float]:
+        """One event iteration, see `FmuInstance.update_discrete_states`."""
+        result = super().update()
+        self._plant.next_event = self.next_event
+        return result
+
+    def leave_events(self) -> None:
+        """Leave event mode, ready for a step."""
+        self._plant.leave_events()
         self._plant.read()
-        self._plant.event(write)
-        self._integration.counts["events"] += 1
-        self._raise_ended()
+        self.in_events = False
+        self._running.restart()
 
-    def _raise_ended(self) -> None:
-        if self._plant.ended:
-            text = f"is the last one: the FMU requests the end of the simulation at t = {self._time:.9g} s"
-            ended = Ended(self.log.error_message("the step", text))
-            ended.reached = self._time
-            raise ended
+    def event_alone(self, write: Call) -> None:
+        """An event of this FMU alone, in which variables are set."""
+        self._plant.read()
+        self._running.happened.append((self._time, ()))
+        super().event_alone(write)
+
+    @property
+    def happened(self) -> Sequence[float]:
+        """Times of the events that took place inside of steps, or of this FMU alone [s]."""
+        return [t for t, _ in self._integration.happened] if self._integration else []
 
     # ---- rollback
 
@@ -193,7 +186,7 @@ class SteppedFmu(ExchangeFmu):
         return SavedState(
             self.fmu.save(before) if self._saves else None,
             *(self._time, plant.x.copy(), plant.v.copy()),
-            *(plant.next_event, integration.counts["events"], integration.sides),
+            *(plant.next_event, len(integration.happened), integration.sides),
         )
 
     def restore(self, state: SavedState) -> None:
@@ -201,11 +194,12 @@ class SteppedFmu(ExchangeFmu):
         integration = self._running
         if self._saves:
             self.fmu.restore(state.fmu)
-        elif integration.counts["events"] != state.events:
+        elif len(integration.happened) != state.events:
             expected = "expected an FMU that can save its state, to repeat a step with an event"
             raise Problem(self.log.error_message("going back", expected))
         self._time, self._plant.next_event = state.time, state.next_event
-        integration.sides = state.sides
+        self.next_event, integration.sides = state.next_event, state.sides
+        del integration.happened[state.events :]
         self._course[0], self._course[1:] = state.v, 0.0
         integration.evaluate(state.time, state.x)
 
@@ -221,10 +215,10 @@ class _Stepped(Integration):
     sides   event indicators that were positive at the end of the last step
     """
 
-    def __init__(self, plant: Plant, tolerance: float, course: Array) -> None:
+    def __init__(self, fmu: SteppedFmu, plant: Plant, tolerance: float, course: Array) -> None:
         """course: coefficients of the inputs, by power of time since the start of the step."""
         super().__init__(plant, tolerance, 0.0)
-        self._course, self._begin = course, 0.0
+        self._fmu, self._course, self._begin = fmu, course, 0.0
         self._radau: Radau | None = None
         self.sides = self._sides_now()
 
@@ -241,7 +235,27 @@ class _Stepped(Integration):
     def event(self, t: float, x: Array) -> Array:
         """Event mode at a time; the states after it. The FMU may change magnitudes there."""
         self._radau = None
+        if self._fmu.stops:
+            self.settle(t, x)
+            raise AtEvent(t)
         return super().event(t, x)
+
+    def _step_event(self, t: float, x: Array) -> Array | None:
+        """As of any integration; one that changes anything ends the step, as other events do."""
+        stops, self._fmu.stops = self._fmu.stops, False
+        try:
+            after = super()._step_event(t, x)
+        finally:
+            self._fmu.stops = stops
+        if after is not None and stops and not self.plant.ended:
+            self.happened.pop()  # it is that of all components
+            raise AtEvent(t)
+        return after
+
+    def restart(self) -> None:
+        """Begin anew after an event of the FMU."""
+        self._radau, self._at = None, (np.nan, b"")
+        self.sides = self._sides_now()
 
     def over(self, t: float, begin: float, h: float) -> float:
         """Integrate from t to the end of the step [s]; returns the time there, that of the end at most."""

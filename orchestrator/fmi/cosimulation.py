@@ -25,7 +25,7 @@ from orchestrator.fmi.calls import (
     to_ctypes,
 )
 from orchestrator.fmi.description import FmuVariable, Value
-from orchestrator.fmi.instance import AfterCall, FmuInstance, resources_location
+from orchestrator.fmi.instance import AfterCall, FmuInstance, resources_location, settle
 from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
@@ -35,7 +35,15 @@ LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "log
 
 
 class RunningFmu:
-    """An FMU from instantiation to termination, with bound calls for its variables."""
+    """An FMU from instantiation to termination, with bound calls for its variables.
+
+    event_mode   it has event mode between steps: variables that are not continuous are set there
+    in_events    it is in event mode
+    next_event   time of its next time event, as far as it has event mode between steps [s]
+    """
+
+    event_mode = in_events = False
+    next_event = float("inf")
 
     def __init__(self, name: str, interface: FmuInterface, fmu: Location, after: AfterCall = None) -> None:
         """`after`: see `FmuInstance`."""
@@ -56,9 +64,14 @@ class RunningFmu:
         self._cleanup.callback(self._unless_fatal, library.close)
         self._cleanup.callback(self.fmu.free)
         resources = resources_location(folder, face.model.major)
-        if not any(
-            self.fmu.instantiate(face.model.token, resources, verbose=verbose) for verbose in (False, True)
-        ):
+        made = partial(
+            self.fmu.instantiate,
+            face.model.token,
+            resources,
+            events=face.event_mode,
+            early=face.event_mode and face.early_return,
+        )
+        if not any(made(verbose=verbose) for verbose in (False, True)):
             # the FMU has logged the reason in the second attempt, with debug logging
             raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.quoted_messages()}")
         categories = [c.encode() for c in LOG_CATEGORIES if c in face.model.categories]
@@ -147,9 +160,34 @@ class RunningFmu:
         return access
 
     def writer(self, variables: Sequence[str], values: Buffer) -> Call:
-        """A call that sets the variables to `values`, shape (n,)."""
+        """A call that sets the variables to `values`, shape (n,).
+
+        Outside of event mode it sets those that are not continuous only if they change, by an event of this
+        FMU alone.
+        """
         type_ = self.interface.variables[variables[0]].function_type
-        return self._access(f"Set{type_}", variables, values, type_)
+        set_plainly = partial(self._access, f"Set{type_}", type_=type_)
+        continuous = np.array([self.interface.variables[v].is_continuous for v in variables])
+        if continuous.all() or not self.event_mode:
+            return set_plainly(variables, values)
+        moving, held = np.flatnonzero(continuous), np.flatnonzero(~continuous)
+        buffers = [np.zeros(len(part), values.dtype) for part in (moving, held, held)]
+        names = [[variables[i] for i in part.tolist()] for part in (moving, held)]
+        write_moving = set_plainly(names[0], buffers[0]) if len(moving) else None
+        write, read = set_plainly(names[1], buffers[1]), self.reader(names[1], buffers[2])
+
+        def set_all() -> None:
+            buffers[0][:], buffers[1][:] = values[moving], values[held]
+            if write_moving:
+                write_moving()
+            if self.in_events or not self._stepping:
+                write()
+                return
+            read()
+            if not np.array_equal(buffers[1], buffers[2]):
+                self.event_alone(write)
+
+        return set_all
 
     def output_derivative_reader(self, variables: Sequence[str], into: Buffer) -> Access:
         """A call that gets the first time derivatives of outputs and stores them in `into`, shape (n,)."""
@@ -206,7 +244,15 @@ class RunningFmu:
         return from_ctypes(declared, cell)
 
     def set(self, variable: str, value: Value) -> None:
-        """Set one variable of any type."""
+        """Set one variable of any type; if it is not continuous, in event mode if there is one."""
+        declared = self.interface.variables[variable]
+        if self.event_mode and self._stepping and not (self.in_events or declared.is_continuous):
+            if self.get(variable) != value:
+                self.event_alone(partial(self._set, variable, value))
+            return
+        self._set(variable, value)
+
+    def _set(self, variable: str, value: Value) -> None:
         declared = self.interface.variables[variable]
         cell = to_ctypes(declared, self.fmu.types[declared.function_type], value)
         structural = declared.causality == "structuralParameter"
@@ -215,6 +261,44 @@ class RunningFmu:
         self._call_single("Set", declared, cell)
         if structural:
             self.fmu.call("ExitConfigurationMode")
+
+    # ---- event mode
+
+    def enter_events(self) -> None:
+        """Enter event mode, at the end of a step."""
+        self.fmu.call("EnterEventMode")
+        self.in_events = True
+
+    def update(self) -> tuple[bool, bool, float]:
+        """One event iteration, see `FmuInstance.update_discrete_states`."""
+        result = self.fmu.update_discrete_states()
+        self.next_event = result[2]
+        return result
+
+    def leave_events(self) -> None:
+        """Leave event mode, ready for a step."""
+        self.fmu.call("EnterStepMode")
+        self.in_events = False
+
+    def event_alone(self, write: Call) -> None:
+        """An event of this FMU alone, in which variables are set."""
+        self.enter_events()
+        write()
+        self._settle()
+
+    def _settle(self) -> None:
+        """Update discrete states alone, and leave event mode."""
+        ended, _ = settle(self.name, {self.name: self.update})
+        self.leave_events()
+        if ended:
+            raise self.ended_at(self.log.time)
+
+    def ended_at(self, t: float, note: str = "") -> Ended:
+        """The exception for a request of the FMU to end the simulation at a time [s]."""
+        text = f"is the last one: the FMU requests the end of the simulation at t = {t:.9g} s{note}"
+        ended = Ended(self.log.error_message("the step", text))
+        ended.reached = t
+        return ended
 
     def _call_single(self, verb: str, variable: FmuVariable, cell: Any) -> None:
         arguments = *self.fmu.references([variable.reference]), *self.fmu.values(ctypes.byref(cell), 1)
@@ -241,12 +325,20 @@ class CoSimulationFmu(RunningFmu):
         self._spare_fails = False  # to be opened
         self._cubic: bool | None = None
         self._final = True  # no step will be repeated
+        self.event_mode = interface.event_mode
         super().__init__(name, interface, fmu, after)
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
         """Announce the experiment; times in [s]."""
         self._end_spare()
         super().setup(start, stop, tolerance)
+
+    def exit(self) -> None:
+        """Leave initialisation mode, with the first event if there is event mode, and enter step mode."""
+        super().exit()
+        if self.event_mode:
+            self.in_events = True
+            self._settle()
 
     def close(self) -> None:
         """Terminate and free the instance, unload the library. May be repeated."""
@@ -310,7 +402,8 @@ class CoSimulationFmu(RunningFmu):
         """Another instance, initialised and in step mode."""
         if self.interface.one_per_process:
             raise Problem(f"{self._label}: the FMU can be instantiated only once per process")
-        other = CoSimulationFmu(self.name, self.interface, self._source, after=self.fmu.after)
+        interface = replace(self.interface, event_mode=False)
+        other = CoSimulationFmu(self.name, interface, self._source, after=self.fmu.after)
         try:
             other.setup(0.0, 1.0, None)
             for variable, value in self._start.items():
@@ -334,15 +427,16 @@ class CoSimulationFmu(RunningFmu):
         """Handle the status and the flags of a step; raise an exception if the step was not completed."""
         end, (begin, last) = self.fmu.step_end(status), self.log.clock[1:]
         rounding = 1e-6 * (last - begin)  # of times, which are up to 1e9 steps
-        at = f"t = {end.reached:.9g} s"
+        outside = ""
         if end.reached < begin - rounding or end.reached > last + rounding:
-            at += f", a time outside of the step from {begin:.9g} s to {last:.9g} s"
-            end = replace(end, reached=float("nan"))
+            outside = f", a time outside of the step from {begin:.9g} s to {last:.9g} s"
+        at = f"t = {end.reached:.9g} s{outside}"
         if end.terminate and status != ERROR:
-            text = f"is the last one: the FMU requests the end of the simulation at {at}"
-            ended = Ended(self.log.error_message("the step", text))
-            ended.reached = end.reached
+            ended = self.ended_at(end.reached, outside)
+            ended.reached = float("nan") if outside else end.reached
             raise ended
+        if outside:
+            end = replace(end, reached=float("nan"))
         if status in (DISCARD, ERROR):
             reached = end.reached if status == DISCARD else float("nan")
             progress = f" (the FMU reached {at})" if status == DISCARD else ""
@@ -353,7 +447,7 @@ class CoSimulationFmu(RunningFmu):
         if status:
             self.fmu.check_status(status, "the step")
         if end.early:
-            text = f"ended early at {at}, which was not allowed"
+            text = f"ended early at {at}{'' if outside else ', which was not allowed'}"
             raise Problem(self.log.error_message("the step", text))
         if end.event:
             text = "the FMU requests event handling by the master, which is switched off"
@@ -368,6 +462,7 @@ class CoSimulationFmu(RunningFmu):
             for member, address in addresses.items()
         }
         members = {"instance": fmu.handle.value or 0, "fmi": fmu.fmi, "do_step": fmu.address("DoStep")}
+        members["events"] = int(self.event_mode)
         if fmu.results:
             members["flags"] = ctypes.addressof(fmu.flags)
         members |= zip(("event", "terminate", "early", "last"), fmu.results, strict=False)

@@ -1,7 +1,7 @@
 """FMU instance with one interface to the C functions of FMI 2.0 and 3.0, Co-Simulation and Model Exchange.
 
-Functions have the names of FMI 3.0, without prefix. Instances run without event mode, and without early
-return and intermediate update unless these are requested. This module needs only the standard library.
+Functions have the names of FMI 3.0, without prefix. Instances run without event mode, early return and
+intermediate update unless these are requested. This module needs only the standard library.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -44,6 +44,7 @@ TYPES: dict[int, dict[str, Any]] = {  # FMI version -> type in the name of a fun
 }
 LAST_TIME, TERMINATED = 2, 3  # fmi2StatusKind
 STEP = function_number("DoStep")
+MAX_EVENT_ITERATIONS = 100  # at one event
 GUARD_BYTES = 64  # after the buffer of a serialised state, to detect a write beyond its end
 CallHook = Callable[[str, float], None]
 AfterCall = Callable[["FmuInstance"], None] | None
@@ -55,6 +56,10 @@ class CallFailed(Problem):
     def __init__(self, message: str, status: int = ERROR) -> None:
         self.status = status
         super().__init__(message)
+
+
+class Unsettled(Problem):
+    """Discrete states that still change after many event iterations."""
 
 
 class Crashed(Exception):
@@ -249,6 +254,7 @@ class FmuInstance:
         update: Any = None,
         early: bool = False,
         required: Sequence[int] = (),
+        events: bool = False,
     ) -> bool:
         """Instantiate the FMU; False if the FMU returns no instance.
 
@@ -256,7 +262,8 @@ class FmuInstance:
         resources   location of the resources: a URI in FMI 2.0, a path in FMI 3.0
         verbose     debug logging
         update      FMI 3.0: intermediate update callback, which may get the variables `required`
-        early       FMI 3.0: the callback may request early return
+        early       FMI 3.0: the FMU may return early, also where the callback requests it
+        events      FMI 3.0: event mode is used
         """
         texts = (name or self.log.component).encode(), token.encode()
         location = None if resources is None else os.fsencode(resources)
@@ -270,7 +277,7 @@ class FmuInstance:
             arguments = [*texts, location, self.flag(False), self.flag(verbose)]
             if not self.exchange:
                 references = (ctypes.c_uint * len(required))(*required) if required else None
-                arguments += [self.flag(False), self.flag(early), references, ctypes.c_size_t(len(required))]
+                arguments += [self.flag(events), self.flag(early), references, ctypes.c_size_t(len(required))]
             arguments += [ctypes.c_void_p(self._environment), logger3]
             arguments += [] if self.exchange else [update]
         self.handle = ctypes.c_void_p(self._call(function, *arguments, result=ctypes.c_void_p))
@@ -421,6 +428,37 @@ class FmuInstance:
         flags, next_event = [self.flag() for _ in range(5)], ctypes.c_double()
         self.call("UpdateDiscreteStates", *map(ctypes.byref, flags), ctypes.byref(next_event))
         return flags[0].value, flags[1].value, next_event.value if flags[4].value else math.inf
+
+
+EventUpdate = Callable[[], tuple[bool, bool, float]]
+
+
+def settle(
+    where: str, updates: Mapping[str, EventUpdate], copied: Callable[[], Sequence[str]] = tuple
+) -> tuple[str, dict[str, float]]:
+    """Copy values and update discrete states of FMUs in event mode until nothing changes.
+
+    where     begins a message
+    updates   component -> `update_discrete_states`
+    copied    copies values between the FMUs; returns the signals that are not continuous and have changed
+
+    Returns the component that requests the end of the simulation, if there is one, and the time of the next
+    time event of each component [s], infinite if there is none.
+    """
+    ended, settled, restless = "", False, list[str]()
+    for count in range(MAX_EVENT_ITERATIONS + 1):
+        changed = copied()
+        if settled and not changed:
+            break
+        if count == MAX_EVENT_ITERATIONS:
+            names = ", ".join(dict.fromkeys([*changed, *restless]))
+            expected = f"expected at most {MAX_EVENT_ITERATIONS} event iterations, got more"
+            raise Unsettled(f"{where}: {expected}: the discrete states do not settle: {names}")
+        results = {name: update() for name, update in updates.items()}
+        restless = [name for name, (needed, _, _) in results.items() if needed]
+        ended = next((name for name, (_, ends, _) in results.items() if ends), ended)
+        settled = bool(ended) or not restless
+    return ended, {name: time for name, (_, _, time) in results.items()}
 
 
 def resources_location(folder: Path, fmi: int) -> str | None:

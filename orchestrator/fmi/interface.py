@@ -39,6 +39,7 @@ CAPABILITIES = {
     "variable_step": ("canHandleVariableCommunicationStepSize",),
     "output_derivatives": ("maxOutputDerivativeOrder",),
     "event_mode": ("hasEventMode",),
+    "early_return": ("mightReturnEarlyFromDoStep",),
     "directional_derivatives": ("providesDirectionalDerivative", "providesDirectionalDerivatives"),
 }
 
@@ -62,7 +63,9 @@ class FmuInterface:
     needs_execution_tool   the FMU needs the installed tool that exported it
     event_indicators       number of event indicators, in Model Exchange
     completed_step         in Model Exchange, the FMU needs to know when the solver has accepted a step
-    event_mode             the FMU declares events for Co-Simulation, in FMI 3.0
+    event_mode             for Co-Simulation in FMI 3.0: the FMU has event mode, and may stop at an event or
+                           has signals that are not continuous
+    early_return           the FMU may stop at an event inside of a step
     variable_step          the communication step size may vary
     stateless              the FMU declares, for Model Exchange, that it has no continuous states
     unused_inputs          inputs on which no state and no output depends after the initialisation
@@ -87,6 +90,7 @@ class FmuInterface:
     event_indicators: int = 0
     completed_step: bool = True
     event_mode: bool = False
+    early_return: bool = False
     variable_step: bool = True
     stateless: bool = False
     unused_inputs: frozenset[str] = frozenset()
@@ -159,8 +163,14 @@ class FmuInterface:
     @property
     def has_events(self) -> bool:
         """May the FMU have events inside a step, as far as its description says?"""
-        exchange = self.kind == MODEL_EXCHANGE and (self.event_indicators > 0 or self.completed_step)
-        return exchange or self.event_mode
+        return self.declares_events or (self.kind == MODEL_EXCHANGE and self.completed_step)
+
+    @property
+    def declares_events(self) -> bool:
+        """Is the FMU made for events: by event mode, event indicators, or signals that are not continuous?"""
+        ports = [*self.of("input"), *self.of("output")]
+        exchange = self.event_indicators > 0 or any(v.variability == "discrete" for v in ports)
+        return self.event_mode or (self.kind == MODEL_EXCHANGE and exchange)
 
     @cached_property
     def ramp_inputs(self) -> frozenset[str]:
@@ -270,6 +280,8 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
     known = [names for names in used if names is not None]
     experiment = description.experiment
     attributes: dict[str, Any] = {n: capabilities.declares(*names) for n, names in CAPABILITIES.items()}
+    ports = [v for v in variables.values() if v.causality in ("input", "output")]
+    attributes["event_mode"] &= attributes["early_return"] or not all(v.is_continuous for v in ports)
     indicators = parse_int(description.get("numberOfEventIndicators")) or 0
     return FmuInterface(
         variables=variables,

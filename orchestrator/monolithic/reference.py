@@ -32,7 +32,7 @@ from orchestrator.engine.arguments import ReferenceArguments
 from orchestrator.engine.integration import Integration, Solver
 from orchestrator.engine.job import Job
 from orchestrator.engine.plant import Plant
-from orchestrator.engine.result import Card, Result
+from orchestrator.engine.result import Card, Event, Result
 from orchestrator.engine.run import ProgressBar, run
 from orchestrator.engine.scenario import Scenario, ScenarioSource
 from orchestrator.engine.time_grid import RECORD_STEP, Grid, step_length
@@ -282,6 +282,7 @@ class _Recorded(Integration):
             wall=wall,
             warnings=plant.system.warnings,
             notes=tuple(notes),
+            events=tuple(Event(t, causes) for t, causes in self.happened),
         )
         messages: list[LogMessage] = [m for slave in plant.slaves.values() for m in slave.log.messages]
         return Result(plant.system, Trace(time, signals, units), card, tuple(messages))

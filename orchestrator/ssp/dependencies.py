@@ -11,11 +11,14 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass
 from functools import wraps
 from itertools import pairwise
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.ssp.system import Connection, Port, System
+
+if TYPE_CHECKING:
+    from orchestrator.ssp.coupling import Coupling
 
 MAX_CONNECTIONS = 6  # in a message
 
@@ -114,16 +117,71 @@ def influential_inputs(system: System) -> frozenset[Port]:
         found |= through & candidates
 
 
+def uses_events(system: System, coupling: "Coupling") -> bool:
+    """Do FMUs stop at their events, and go through them together?
+
+    A single FMU does. Several need to go back to the beginning of a step, so that it is repeated until it
+    ends at its first event. Otherwise events take place inside of the FMUs.
+    """
+    return not coupling.method.step and _would_use_events(system) and not _fixed(system)
+
+
+def _would_use_events(system: System) -> bool:
+    """Would FMUs stop at their events, if the steps of all could be repeated?"""
+    declare = _declaring(system)
+    if len(system.components) == 1:
+        return any(system.components[name].interface.event_mode for name in declare)
+    wires = _influential_wires(system) if declare else ()
+    into_event_mode = (c for c in wires if c.target.component in declare and not system.is_continuous(c))
+    return any(c.source.component in declare for c in wires) or any(into_event_mode)
+
+
+def _declaring(system: System) -> set[str]:
+    return {name for name, component in system.components.items() if component.interface.declares_events}
+
+
+def _influential_wires(system: System) -> list[Connection]:
+    influential = influential_inputs(system)
+    return [c for c in system.connections if c.target in influential]
+
+
+def _fixed(system: System) -> dict[str, str]:
+    """Components whose steps cannot be repeated with another length, and why; one alone needs not."""
+    interfaces = {name: component.interface for name, component in system.components.items()}
+    reasons = {n: "cannot restore a saved state" for n, i in interfaces.items() if not i.rollback}
+    reasons |= {n: "has a fixed step" for n, i in interfaces.items() if not i.variable_step}
+    return reasons if len(interfaces) > 1 else {}
+
+
+def late_notes(system: System, coupling: "Coupling") -> tuple[str, ...]:
+    """A note on effects that may come up to a step late, and why."""
+    if not (late := late_effects(system, coupling)):
+        return ()
+    note = f"effects of {late} on other FMUs may come up to a step late"
+    reasons = {} if coupling.method.step or not _would_use_events(system) else _fixed(system)
+    more = f", as {len(reasons) - 1} more" if len(reasons) > 1 else ""
+    return (note + "".join([f", because {name} {why}{more}" for name, why in reasons.items()][:1]),)
+
+
+def influential_events(system: System) -> str:
+    """The events that may influence a state of another FMU; or nothing."""
+    having = {name for name, component in system.components.items() if component.interface.has_events}
+    sources = dict.fromkeys(c.source.component for c in _influential_wires(system))
+    return first_names(f"events of {name}" for name in sources if name in having)
+
+
 @of_structure
-def late_effects(system: System) -> str:
+def late_effects(system: System, coupling: "Coupling") -> str:
     """The events, and signals that are not continuous, that may take effect up to a step late; or nothing.
 
     Only those that influence a state of another FMU: an FMU has its own events at their time.
     """
-    influential = influential_inputs(system)
-    wires = [c for c in system.connections if c.target in influential]
-    held = [c for c in wires if not all(system.variable(p).is_continuous for p in (c.source, c.target))]
+    wires = _influential_wires(system)
     having = {name for name, component in system.components.items() if component.interface.has_events}
+    if uses_events(system, coupling):
+        declare = _declaring(system)
+        wires = [c for c in wires if c.source.component not in declare]
+    held = [c for c in wires if not system.is_continuous(c)]
     events = [
         f"events of {c.source.component}" for c in wires if c not in held and c.source.component in having
     ]

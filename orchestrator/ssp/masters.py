@@ -90,6 +90,7 @@ class Plan:
     repeated     indices of the components that further passes compute again
     notes        remarks for the accuracy card
     prediction   inputs are predicted from linearisations
+    parallel     of sequential components only those with events use the new outputs of those before
     """
 
     coupling: Coupling
@@ -103,6 +104,7 @@ class Plan:
     repeated: frozenset[int] = frozenset()
     notes: tuple[str, ...] = ()
     prediction: Prediction | None = None
+    parallel: bool = False
 
     def with_estimate(self, fast: bool) -> Plan:
         """The plan of a run that estimates its error; fast: without measurements for masters of order 4."""
@@ -131,7 +133,8 @@ class Plan:
         return self.estimates or (self.needs_slopes and not predicted)
 
 
-def _gauss_seidel_indices(system: System) -> list[int]:
+def gauss_seidel_indices(system: System) -> list[int]:
+    """Indices of the components in the order in which Gauss-Seidel steps them."""
     from orchestrator.ssp.dependencies import gauss_seidel_order  # which needs systems, and they this file
 
     return [*map(list(system.components).index, gauss_seidel_order(system))]
@@ -169,7 +172,7 @@ def gauss_seidel_plan(system: System, coupling: Coupling) -> Plan:
     dependencies.
     """
     order, names = coupling.extrapolation, list(system.components)
-    components = _gauss_seidel_indices(system)
+    components = gauss_seidel_indices(system)
     position = {names[k]: i for i, k in enumerate(components)}
     varying = [
         c for c in system.connections if order or position[c.source.component] < position[c.target.component]
@@ -188,7 +191,7 @@ def hermite_plan(system: System, coupling: Coupling) -> Plan:
     The first pass is final for a component whose sources have all stepped before it. The step is repeated if
     all other components can go back to a saved state. Otherwise it is computed once.
     """
-    order = _gauss_seidel_indices(system)
+    order = gauss_seidel_indices(system)
     repeated, components = unsettled_components(system, order), list(system.components.values())
     cannot = [components[k].name for k in sorted(repeated) if not components[k].interface.rollback]
     note = f"hermite makes one pass per step, because {', '.join(cannot)} cannot restore a saved state"
@@ -218,11 +221,40 @@ def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
     linearised = frozenset(name for name in needed if system.components[name].interface.linearisable)
     return Plan(
         coupling,
-        sorted(_gauss_seidel_indices(system), key=lambda k: k not in leading),
+        sorted(gauss_seidel_indices(system), key=lambda k: k not in leading),
         system.connections,
         degree=3,
         sequential=True,
         prediction=Prediction(len(leading), linearised, linearised == needed, relevant),
+    )
+
+
+def plan_with_events(plan: Plan, system: System) -> Plan:
+    """The plan for FMUs that go through events together: those with events step last.
+
+    Their inputs are exact at the end of a step, where an event that follows from them is located. Inputs from
+    components that step even later need a second pass. Signals that are not continuous travel between steps.
+    """
+    wires = [c for c in system.connections if system.is_continuous(c)]
+    continuous, names = replace(system, connections=tuple(wires)), list(system.components)
+    having = {name for name, c in system.components.items() if c.interface.declares_events}
+    order = sorted(gauss_seidel_indices(continuous), key=lambda k: names[k] in having)
+    if plan.prediction:
+        leading = plan.order[: plan.prediction.leading_count]
+        return replace(plan, order=[*leading, *(k for k in order if k not in leading)])
+    place = {names[k]: i for i, k in enumerate(order)}
+    fed = [c for c in wires if c.target.component in having]
+    ahead = {c.target.component for c in fed if place[c.source.component] >= place[c.target.component]}
+    repeats = plan.passes > 1
+    return replace(
+        plan,
+        order=order,
+        varying=(*plan.varying, *(c for c in fed if c not in plan.varying)),
+        degree=max(plan.degree, 1),
+        sequential=True,
+        parallel=not plan.sequential,
+        passes=max(plan.passes, 2 if ahead else 1),
+        repeated=unsettled_components(continuous, order) if repeats else frozenset(map(names.index, ahead)),
     )
 
 

@@ -379,6 +379,10 @@ class System:
             return FmuVariable(inlet.name, type=inlet.type, causality="input", unit=inlet.unit)
         return self.components[port.component].interface.variables[port.variable]
 
+    def is_continuous(self, connection: Connection) -> bool:
+        """Are both ends of a connection continuous?"""
+        return all(self.variable(port).is_continuous for port in (connection.source, connection.target))
+
     def unit(self, port: Port) -> DeclaredUnit | None:
         """The unit of values that a user gives for a port; after a swap that of the replaced FMU."""
         replaced, unit = self.components[port.component].replaced, self.variable(port).unit

@@ -1,4 +1,4 @@
-"""The models of hybrid.c as FMUs for Model Exchange."""
+"""The models of hybrid.c as FMUs for Model Exchange, those of stopping.c for Co-Simulation."""
 
 from pathlib import Path
 
@@ -8,22 +8,53 @@ from kit.compile import library
 
 SOURCE = Path(__file__).with_name("hybrid.c")
 MODELS = tables(str(SOURCE))
+ROLLS = {2: "canGetAndSetFMUstate", 3: "canGetAndSetFMUState"}
 TIME = V("time", "independent", place=0)
 
 
 @pytest.fixture(scope="session")
 def fmu(once):
-    """fmu("ball", 3): a model for a version of FMI, compiled once for all test processes."""
+    """fmu("ball", 3): a model for a version of FMI, compiled once for all test processes.
 
-    def made(model: str, version: int) -> Path:
+    rolls: it declares that it can save its state, as it can
+    """
+
+    def made(model: str, version: int, rolls: bool = False) -> Path:
+        name = f"{model}{version}{'_rolls' * rolls}"
+
         def build(folder: Path) -> None:
             variables = MODELS[model] if version == 2 else [TIME, *MODELS[model]]
             able = {"needsCompletedIntegratorStep": "true"} if version == 3 else {}
+            able |= {ROLLS[version]: "true"} if rolls else {}
             text = Description(model, variables, {"ModelExchange": able}, initial=False).text(version)
             binary = library("hybrid", [SOURCE], f"-DFMI={version}", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
             members = {"modelDescription.xml": text, member(version, model): binary}
             packed(folder / f"{model}{version}.fmu", members)
 
-        return once(f"hybrid-{model}{version}", build) / f"{model}{version}.fmu"
+        return once(f"hybrid-{name}", build) / f"{model}{version}.fmu"
 
     return made
+
+
+STOPPING = SOURCE.with_name("stopping.c")
+ABLE = dict.fromkeys(
+    ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "hasEventMode"), "true"
+) | {"mightReturnEarlyFromDoStep": "true"}
+
+
+@pytest.fixture(scope="session")
+def stopping(tmp_path_factory):
+    """stopping("relay"): a model that stops at its events; without: variables that it does not declare."""
+    made = {}
+
+    def make(model: str, without=(), **able: str) -> Path:
+        key = model, tuple(without), tuple(sorted(able.items()))
+        if key not in made:
+            variables = [v for v in tables(str(STOPPING))[model] if v.name not in without]
+            text = Description(model, variables, {"CoSimulation": ABLE | able}).text(3)
+            binary = library("stopping", [STOPPING], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
+            members = {"modelDescription.xml": text, member(3, model): binary}
+            made[key] = packed(tmp_path_factory.mktemp("stopping") / f"{model}.fmu", members)
+        return made[key]
+
+    return make

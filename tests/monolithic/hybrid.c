@@ -147,6 +147,9 @@ S fmi2GetBoolean(C c, REF r[], size_t n, fmi2Boolean y[]) { return fmi2GetIntege
 S fmi2SetBoolean(C c, REF r[], size_t n, const fmi2Boolean y[]) {
     return ((Instance *)c)->events || ((Instance *)c)->time == 0.0 ? fmi2SetInteger(c, r, n, y) : fmi2Error;
 }
+S fmi2GetFMUstate(C c, fmi2FMUstate *s) { return *s = *s ? *s : malloc(sizeof(Instance)), memcpy(*s, c, sizeof(Instance)), OK; }
+S fmi2SetFMUstate(C c, fmi2FMUstate s) { return memcpy(c, s, sizeof(Instance)), OK; }
+S fmi2FreeFMUstate(C c, fmi2FMUstate *s) { return (void)c, free(*s), *s = NULL, OK; }
 S fmi2EnterEventMode(C c) { return ((Instance *)c)->events = 1, change("events"), OK; }
 S fmi2NewDiscreteStates(C c, fmi2EventInfo *e) {
     int ends = 0;
@@ -221,6 +224,9 @@ S fmi3SetBoolean(C c, REF r[], size_t n, const fmi3Boolean y[], size_t m) {
     for (size_t k = 0; k < n; k++) ((Instance *)c)->i[r[k]] = y[k];
     return (void)m, ((Instance *)c)->events || ((Instance *)c)->time == 0.0 ? OK : fmi3Error;
 }
+S fmi3GetFMUState(C c, fmi3FMUState *s) { return *s = *s ? *s : malloc(sizeof(Instance)), memcpy(*s, c, sizeof(Instance)), OK; }
+S fmi3SetFMUState(C c, fmi3FMUState s) { return memcpy(c, s, sizeof(Instance)), OK; }
+S fmi3FreeFMUState(C c, fmi3FMUState *s) { return (void)c, free(*s), *s = NULL, OK; }
 S fmi3EnterEventMode(C c) { return ((Instance *)c)->events = 1, OK; }
 S fmi3UpdateDiscreteStates(C c, fmi3Boolean *a, fmi3Boolean *t, fmi3Boolean *n, fmi3Boolean *v, fmi3Boolean *d,
                            fmi3Float64 *e) {

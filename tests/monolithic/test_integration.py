@@ -34,6 +34,7 @@ class Equations:
         self.x, self.y, self.v = np.array(x), np.zeros(1), np.zeros(0)
         self.rate, self.slope, self.at, self.z, self.nominal = rate, slope, [*at, np.inf], z, nominal
         self.indicator_count, self.ended, self.notes, self.slaves = int(z is not None), "", (), {}
+        self.changed = ["a.y"]
         self.told, self.events, self.rates, self.jacobians = [], [], 0, 0
 
     next_event = property(lambda self: self.at[0])
@@ -128,7 +129,7 @@ def test_at_one_time_there_are_at_most_1000_events(at, x):
         return
     events = [at] * 1000
     assert solved(Equations(x, at=events), Grid(0.0, 0.5, 2))["a.y"][1:].tolist() == rows[1:]
-    with pytest.raises(Problem, match=f"s: t = {at:.9g} s: expected at most 1000 events at one time"):
+    with pytest.raises(Problem, match=f"s: t = {at:.9g} s: expected at most 1000 events at one time: a.y"):
         solved(Equations(x, at=[*events, at]), Grid(0.0, 0.5, 2))
 
 

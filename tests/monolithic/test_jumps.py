@@ -8,7 +8,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from kit.any_fmu.models import Workshop
 
@@ -217,7 +217,40 @@ def test_a_discrete_signal_acts_from_the_next_point_on(fmu, each, step, master):
     exact = np.maximum(np.subtract.outer(t, acts - step * late), 0.0).sum(axis=1)
     np.testing.assert_allclose(result["d.y"], exact, atol=1e-9)
     effects = "effects of s.level on other FMUs may come up to a step late"
-    assert effects in result.card.notes
+    why = ", because s cannot restore a saved state" * (master is not MASTERS["own"])
+    assert effects + why in result.card.notes
+
+
+levels = st.tuples(st.floats(0.1, 0.4), st.floats(0.02, 0.5)).map(lambda pair: (pair[0], pair[0] + pair[1]))
+
+
+@every_master
+@settings(max_examples=10)
+@given(jumps=jumps, levels=levels, step=st.sampled_from([0.05, 0.1, 0.25]))
+def test_jumps_and_events_act_at_their_times(stopping, master, jumps, levels, step):
+    """A relay switches a room, a scenario drives an integrator in event mode: at any step."""
+    fmus = {"relay": stopping("relay"), "room": stopping("room"), "sum": stopping("sum")}
+    low, high = levels
+    system = assemble(
+        fmus, ["room.T -> relay.y", "relay.on -> room.on"], {"relay.low": low, "relay.high": high}
+    )
+    length = {} if getattr(master, "adaptive", None) else {"step": step}
+    scenario = two_rows("sum.u", jumps)
+    result = run(system, scenario, record_step=step, master=master, isolate=False, **length)
+    t = result.trace.time
+    np.testing.assert_allclose(result["sum.s"], integral(t, jumps), atol=1e-9)  # rounding of sums
+    if master is MASTERS["own"]:  # without event mode
+        return
+    begins, starts = [0.0, -np.log(1 - high)], [0.0, high]
+    while begins[-1] < STOP:
+        rises = len(begins) % 2 == 0
+        begins.append(begins[-1] + np.log(high / low if rises else (1 - low) / (1 - high)))
+        starts.append(low if rises else high)
+    k = np.searchsorted(begins, t, side="right") - 1
+    on = k % 2 == 0
+    exact = on + (np.array(starts)[k] - on) * np.exp(-(t - np.array(begins)[k]))
+    # up to 50 events, each up to 1e-11 s late
+    np.testing.assert_allclose(result["room.T"], exact, atol=1e-9)
 
 
 def test_an_array_of_event_indicators(fmu, tmp_path):

@@ -10,7 +10,8 @@ from kit.mistakes import problem, table
 from orchestrator import reference
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import LinearTransformation
-from orchestrator.engine.plant import MAX_EVENT_ITERATIONS, Plant, differences
+from orchestrator.engine.plant import Plant, differences
+from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.system import Inlet, Port
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from orchestrator.check.tasks.runner import InstanceOptions, Trial
 from orchestrator.fmi.calls import address
 from orchestrator.fmi.description import FLOATS, MAX_LOCALS, Entry, FmuVariable, ModelDescription
-from orchestrator.fmi.instance import CallFailed, FmuInstance
+from orchestrator.fmi.instance import CallFailed, FmuInstance, Unsettled, settle
 from orchestrator.fmi.library import Library
 from orchestrator.fmi.messages import DISCARD, ERROR
 
@@ -27,7 +27,6 @@ Vector = NDArray[np.float64]
 Rows = Sequence[Vector]
 MAX_INNER_STEPS = 12  # integrator steps per communication step: enough to change the states of a stiff model
 TOLERANCE = 1e-4  # relative tolerance of the integrator
-MAX_ITERATIONS = 100  # event iterations at one event
 PATTERN = np.array([1.0, -0.5, 0.25, -1.0, 0.5, 0.0, 0.75, -0.25])  # perturbation of the inputs, step by step
 PERTURBATION = 1e-3  # relative to the magnitude of an input: small, because the valid range is unknown
 ROUNDING = 1e-13  # relative to nominal; smaller outputs are read as zero
@@ -200,14 +199,14 @@ class Integrator:
 
     def _iterate(self) -> None:
         """Update discrete states until none changes, and enter continuous-time mode."""
-        for _ in range(MAX_ITERATIONS):
-            needed, terminate, self.next_event = self.instance.update_discrete_states()
-            self.ended = self.ended or terminate
-            if not needed or terminate:
-                self.instance.call("EnterContinuousTimeMode")
-                return
-        needed_after = f"new discrete states are needed after {MAX_ITERATIONS} calls"
-        raise CallFailed(f"the event iteration does not end: {needed_after}", ERROR)
+        try:
+            ended, times = settle(
+                "the event iteration does not end", {"the FMU": self.instance.update_discrete_states}
+            )
+        except Unsettled as problem:
+            raise CallFailed(str(problem), ERROR) from None
+        self.ended, self.next_event = self.ended or bool(ended), times["the FMU"]
+        self.instance.call("EnterContinuousTimeMode")
 
     # ---- the state vector
 

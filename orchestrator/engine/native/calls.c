@@ -209,7 +209,10 @@ int component_step(Simulation *sim, int k, Real begin, Real length) {
     const double t = sim->t + begin;
     p->clock[0] = p->clock[1] = t;
     p->clock[2] = t + length;
-    if (!p->do_step) return python_call(sim, STEP, k, t, length);
+    if (!p->do_step) {
+        const int verdict = python_call(sim, STEP, k, t, length);
+        return verdict == AT_EVENT ? event_reached(sim, p, sim->reached, 1) : verdict;
+    }
     int status;
     *p->call = STEP;
     if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->instance, t, length, p->never_restored);
@@ -218,6 +221,12 @@ int component_step(Simulation *sim, int k, Real begin, Real length) {
                                        p->early, p->last);
     *p->call = 0;
     if (!rounds_to_nearest()) environment_restore(sim, NULL, k);
+    if (p->events && !status && p->flags && *p->flags) {
+        const uint8_t *event = p->event, *terminate = p->terminate, *early = p->early;
+        const double reached = *early ? *(const double *)p->last : t + length;
+        const int inside = t - length < reached && reached < t + 2.0 * length; /* else Python tells what is wrong */
+        if ((*event || *early) && !*terminate && inside) return event_reached(sim, p, reached, *early);
+    }
     if (status || (p->flags && *p->flags)) return sim->check_status(0, k, status);
     return CONTINUE;
 }

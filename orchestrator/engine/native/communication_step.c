@@ -26,6 +26,14 @@
 
 /* ---- one component */
 
+/* The constant or the line with the end of a polynomial, for events of an FMU that follow from its inputs. */
+static void end_exactly(Real c[], int32_t degree, Real h) {
+    const Real end = polynomial_value(c, h);
+    c[1] = degree && any(h > 0.0) ? (end - c[0]) / h : c[1] * (double)(degree > 0); /* h = 0 where inputs begin */
+    if (!degree) c[0] = end;
+    c[2] = c[3] = 0.0;
+}
+
 /* Set the coupling inputs of a component from `begin` [s] after the start of the step on, for `length` [s]. */
 int component_set_inputs(Simulation *sim, Component *p, Real begin, Real length, int last) {
     static const double factorial[] = {1.0, 2.0, 6.0};
@@ -37,7 +45,8 @@ int component_set_inputs(Simulation *sim, Component *p, Real begin, Real length,
         if (!first || s->fmu_degree < DEGREE) {
             if (first) memcpy((void *)part, s->c, sizeof part);
             else polynomial_shift(s->c, begin, part);
-            polynomial_project(part, s->fmu_degree, length);
+            if (s->at_end == EXACT || (s->at_end && sim->events.high > 0.0)) end_exactly(part, s->fmu_degree, length);
+            else polynomial_project(part, s->fmu_degree, length);
             c = part;
         }
         if (p->sets_values && s->requested_degree) *value++ = c[0];
@@ -112,8 +121,8 @@ static void set_ends_from(Simulation *sim, const Component *p, Real h) {
         if (!sim->inputs[i].in_loop) set_source_end(sim, &sim->inputs[i], h);
 }
 
-static void set_polynomial(const Simulation *sim, CouplingInput *s, int n, Real h) {
-    const int stepped = sim->has_stepped[s->source_component] && !s->in_loop;
+static void set_polynomial(const Simulation *sim, CouplingInput *s, int n, Real h, int follows) {
+    const int stepped = sim->has_stepped[s->source_component] && !s->in_loop && follows;
     if (s->predicted) {
         if (!n && stepped) input_end_at_source(s, h);
     } else if (s->requested_degree && (n || stepped)) {
@@ -131,7 +140,7 @@ static void set_polynomials(const Simulation *sim, const Component *p, int n, Re
         const int others = n && !all(sim->computed); /* machines whose last pass was final */
         Real before[POLYNOMIAL];
         if (others) memcpy((void *)before, s->c, sizeof before);
-        set_polynomial(sim, s, n, h);
+        set_polynomial(sim, s, n, h, !sim->parallel || p->events);
         if (others) input_replace_polynomial(s, before, !sim->computed);
     }
 }

@@ -9,6 +9,7 @@
  *     step_size.c            the length of the next adaptive step
  *     algebraic_loop.c       Newton's method for inputs that determine the outputs which feed them
  *     scenario.c             inputs that a scenario drives
+ *     events.c               steps that end at the events of FMUs
  *     plant.c                all components in Model Exchange, as one ODE
  *     calls.c                calls into FMUs and into Python
  *     environment.c          the rounding mode and its like, which an FMU may change
@@ -51,8 +52,9 @@ enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, LOGICAL }; /* types of va
 enum { ACCESS, COPY, LOOP, PYTHON, EXCHANGE };                    /* types of instructions */
 enum { SET_TIME, VECTOR, COMPLETED_STEP };                        /* kinds of calls in Model Exchange */
 enum { DRIVEN = -1, LINE = 1, DEGREE = 3, POLYNOMIAL = 6 }; /* POLYNOMIAL: Reals of a coupling input from c on */
-enum { CONTINUE, STOP, DISCARDED, ABORT };                 /* verdicts; ABORT: the cause is not an FMU */
-enum { CALL, STEP, SAVE, RESTORE, MASTER };                        /* requests to Python; also numbers of FMI functions */
+enum { CONTINUE, STOP, DISCARDED, ABORT, AT_EVENT };       /* verdicts; ABORT: the cause is not an FMU; AT_EVENT: an FMU
+                                    has stopped at an event inside the step */
+enum { CALL, STEP, SAVE, RESTORE, MASTER, INSTANT };               /* requests to Python; also numbers of FMI functions */
 enum { OUT_OF_RANGE = -1, WITHDRAWN = -3, CHANGED = -5 };  /* further statuses: an integer that the other type cannot
                                     hold; a step that is repeated, so that its messages do not count; an FMU has changed
                                     the floating-point environment, which was restored */
@@ -63,6 +65,7 @@ enum { SOLVES, EVALUATIONS };                              /* counts of a loop *
 enum { SCALED, RELATIVE, WORST };                          /* residual norms of a loop: relative to the magnitude at the
                                     start; to the present magnitude; the largest accepted relative one */
 enum { MISSING, OLD, RENEWED };                            /* the inverse in Newton's method for a plant */
+enum { EXACT = 1, NEAR_EVENT };                            /* see CouplingInput, at_end */
 enum { PREDICTED, BY_SCENARIO, LEADING, EXTRAPOLATED };    /* sources of an input, see linear_prediction.c */
 enum { BLOCK = 8 };                                        /* columns of matrices are padded to a multiple of it */
 
@@ -233,6 +236,8 @@ typedef struct CouplingInput {
     int32_t target, source;   /* indices in the array of Real values; a driven input has the source -1 */
     int32_t source_component; /* its index, or DRIVEN */
     int32_t fmu_degree;       /* the degree that the FMU can follow: 0 (it holds its input), 1 or 3 */
+    int32_t at_end;           /* EXACT: if the FMU follows a lower degree, the end of the step is exact, not the mean;
+                                 NEAR_EVENT: while an event is located */
     int32_t requested_degree; /* the degree that the master asks for; 0: the input is only watched */
     int32_t order;            /* order of extrapolation */
     int32_t autonomous;       /* the source has no inputs: its slope may jump, but no further pass changes it */
@@ -260,6 +265,9 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     int32_t simplifies_inputs;          /* inputs that outputs depend on have a lower degree than the master asks for */
     int32_t rollback;                   /* its state is saved at the beginning of every step */
     int32_t repeated;                   /* further passes compute it again */
+    int32_t events;                     /* it stops at its events, or asks for event mode at the end of a step */
+    int32_t locates;                    /* if it stops early, it does at the time of the event; else not before that */
+    int32_t asked;                      /* it has stopped in this try */
     Real *values, *derivatives;
     Program input_writes; /* set values and derivatives of its coupling inputs */
     Program output_reads; /* read the outputs that other components use */
@@ -339,6 +347,22 @@ typedef struct Plant {
     int32_t requests; /* a component asks for an event or for the end, at a completed step */
 } Plant;
 
+/* Events of FMUs, see events.c. low, high: the longest step so far that met none, and the shortest one that met one; 0:
+ * none [s] */
+typedef struct Events {
+    const int64_t *real_targets, *integer_targets; /* connected or driven inputs that are not continuous, and influence a state */
+    double *reals;                                 /* their values at the last instant */
+    int64_t *integers;
+    int32_t real_count, integer_count;
+    int32_t used;     /* FMUs are in event mode at instants, through Python */
+    int32_t located;  /* all components can go back, so that a step is repeated to its first event */
+    int32_t due;      /* there is an instant at the end of the step */
+    int32_t tries;    /* of the present step */
+    double next;      /* the next time event that an FMU has announced [s] */
+    double tolerance; /* of the time of an event [s] */
+    double low, high, margin, before; /* before: time after which an FMU stopped in the last try [s] */
+} Events;
+
 typedef struct Pool Pool;
 
 typedef struct Simulation {
@@ -364,10 +388,12 @@ typedef struct Simulation {
     ErrorPropagation *errors;     /* NULL if the error is not estimated */
     EnergyMonitor energy;
     Recorder recorder;
+    Events events;
     /* the plan of the master */
     const int32_t *order; /* indices of the components in the order in which they step */
     uint8_t *has_stepped; /* in this pass, by component */
     int32_t degree, sequential, passes, in_python; /* in_python: a function of Python takes the components over a step */
+    int32_t parallel; /* only components with events use new outputs of those before them */
     double tolerance;
     /* the loop over steps */
     StepSize *step_size; /* of each machine; NULL: all steps are equal */
@@ -507,6 +533,15 @@ int component_set_inputs(Simulation *, Component *, Real begin, Real length, int
 int component_advance(Simulation *, int k, Real h, double *counter);
 void set_source_ends(Simulation *, Real h);
 Real step_error(const Simulation *, Real h);
+
+/* events.c */
+void event_try(Simulation *);
+int event_reached(Simulation *, Component *, double reached, int early);
+int event_approached(Simulation *, double h, int *goes_back);
+int event_missed(Simulation *, double h);
+int event_due(Simulation *);
+int event_instant(Simulation *);
+void event_values(Simulation *);
 
 /* threads.c; `threads` includes the caller's */
 Pool *pool_start(Simulation *, int threads);

@@ -142,6 +142,13 @@ static int go_back(Simulation *sim, Mask machines) {
 }
 
 #if WIDTH == 1
+/* Goes back after a step with an event inside, or one that has become too short for it. */
+static int repeat_for_event(Simulation *sim, double h, int met) {
+    int goes_back = 1;
+    const int verdict = met ? event_approached(sim, h, &goes_back) : CONTINUE;
+    return verdict || !goes_back ? verdict : go_back(sim, EVERY_MACHINE);
+}
+
 /* Goes back after a step of which an FMU did only the first part; the next one is shorter. */
 static int retry_discarded(Simulation *sim, double h) {
     const double reached = sim->reached - sim->t;
@@ -191,11 +198,21 @@ static int try_step(Simulation *sim, Real h, Mask *done) {
     *done = NO_MACHINE;
     int verdict = sim->saves ? save_states(sim) : CONTINUE;
     if (verdict) return verdict;
+#if WIDTH == 1
+    const double end = sim->end;
+    event_try(sim);
+#endif
     verdict = communication_step(sim, h, &passes);
+#if WIDTH == 1
+    if (sim->end < end) h = sim->end - sim->t; /* the only FMU has stopped */
+#endif
     if (!verdict) verdict = store_used_inputs(sim);
     if (!verdict) verdict = exchange_at_end(sim, h);
 #if WIDTH == 1
     if (verdict == DISCARDED) return retry_discarded(sim, h);
+    if (verdict == AT_EVENT) return repeat_for_event(sim, h, 1);
+    if (!verdict && event_missed(sim, h)) return repeat_for_event(sim, h, 0);
+    if (!verdict) sim->events.low = sim->events.high = 0.0, sim->events.tries = 0;
 #endif
     if (verdict) return verdict;
     sim->all_passes += passes;
@@ -220,7 +237,10 @@ static Real next_length(Simulation *sim, Real *target, Real *rest) {
         const double t = machine(sim->t, i);
         int64_t *next = &sim->next_divided[i];
         while (*next < sim->divided_count && sim->divided[*next] <= t) ++*next;
-        const double to = *next < sim->divided_count ? smaller(point, sim->divided[*next]) : point;
+        double to = *next < sim->divided_count ? smaller(point, sim->divided[*next]) : point;
+#if WIDTH == 1
+        if (sim->events.used && sim->events.next > t) to = smaller(to, sim->events.next);
+#endif
         const double left = t == last && to == point ? sim->step : to - t;
         set_machine(target, i, count, to);
         set_machine(rest, i, count, left);
@@ -229,20 +249,32 @@ static Real next_length(Simulation *sim, Real *target, Real *rest) {
     return sim->shorter > 0.0 ? smaller(h, sim->shorter) : h;
 }
 
-/* Exchanges the values after a jump of the scenario. All inputs begin anew: the past does not tell their course. */
-static int jump(Simulation *sim, Mask machines) {
-    sim->scenario->since = sim->t;
-    sim->scenario->evaluated_at = NAN;
-    int verdict = simulation_exchange(sim, sim->t);
+/* All inputs begin anew after a jump of the scenario, or an event: the past does not tell their course. */
+static int restart(Simulation *sim, Mask machines) {
     sim->length = where(machines, 0.0, sim->length);
     sim->length_before = where(machines, 0.0, sim->length_before);
-    if (!verdict) verdict = begin_inputs(sim, machines);
+    const int verdict = begin_inputs(sim, machines);
     begin_energy(sim, machines);
     for (int i = 0; i < WIDTH && sim->step_size; i++)
         if (chosen(machines, i)) step_size_begin(&sim->step_size[i]);
     if (sim->errors) error_jump(sim->errors);
     return verdict;
 }
+
+/* Exchanges the values after a jump of the scenario. */
+static int jump(Simulation *sim, Mask machines) {
+    sim->scenario->since = sim->t;
+    sim->scenario->evaluated_at = NAN;
+    const int verdict = simulation_exchange(sim, sim->t);
+    return verdict ? verdict : restart(sim, machines);
+}
+
+#if WIDTH == 1
+static int go_through_events(Simulation *sim) {
+    const int verdict = event_instant(sim);
+    return verdict ? verdict : restart(sim, EVERY_MACHINE);
+}
+#endif
 
 /* Tries the next step of each machine once. */
 static int next_step(Simulation *sim) {
@@ -256,6 +288,9 @@ static int next_step(Simulation *sim) {
     if (verdict) return verdict;
     if (!any(done)) {
         sim->repeated++;
+#if WIDTH == 1
+        if (sim->events.due) return go_through_events(sim); /* at the beginning of the step */
+#endif
         return CONTINUE;
     }
     sim->t = where(done, sim->end, sim->t);
@@ -267,6 +302,9 @@ static int next_step(Simulation *sim) {
     sim->done += there;
     const Mask jumps = sim->scenario && !sim->scenario->commands ? scenario_jumps(sim->scenario, sim->t, done) : NO_MACHINE;
     verdict = any(jumps) ? jump(sim, jumps) : CONTINUE;
+#if WIDTH == 1
+    if (!verdict && event_due(sim)) verdict = go_through_events(sim);
+#endif
     if (verdict) return verdict;
     if (there || sim->free || sim->diverged) record(sim);
     return CONTINUE;
@@ -285,6 +323,9 @@ int32_t simulation_begin(Simulation *sim) {
     if (verdict) return verdict;
     if (sim->scenario) sim->scenario->since = sim->t;
     begin_energy(sim, EVERY_MACHINE);
+#if WIDTH == 1
+    event_values(sim);
+#endif
     record(sim);
     return sim->errors ? error_begin(sim) : CONTINUE;
 }

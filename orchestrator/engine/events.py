@@ -1,0 +1,145 @@
+"""Events of the FMUs of a run: a step ends at an event, and all components go through it in one instant.
+
+FMUs have event mode between steps if they stop at their events (FMI 3.0 for Co-Simulation) or are for Model
+Exchange. In a system of several FMUs all of them have to go back to the beginning of a step, so that it can
+be repeated until it ends at its first event (`native/events.c`). Otherwise events take place inside of the
+FMUs, and act on others at the end of the step.
+
+In an instant all FMUs with event mode enter it. There values are copied along all connections, and discrete
+states are updated, until nothing changes. Afterwards inputs, extrapolations and predictions begin anew.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from ctypes import c_double
+from math import ulp
+
+import numpy as np
+
+from orchestrator.base.errors import Problem
+from orchestrator.engine.coupling_inputs import CouplingInputs
+from orchestrator.engine.network import Network
+from orchestrator.engine.result import Event
+from orchestrator.engine.stepped_fmu import SteppedFmu
+from orchestrator.engine.time_grid import Grid
+from orchestrator.fmi.cosimulation import RunningFmu
+from orchestrator.fmi.instance import settle
+from orchestrator.ssp.system import Port
+
+TIME_TOLERANCE = 1e-11  # of the time of an event [s], and
+SHARE_OF_STEP = 1e-6  # of the step, if that is less
+CLOSE = 1e-6  # of a step: events that are closer follow each other without progress
+MOST_CLOSE_EVENTS = 200  # in a row
+
+
+class Instants:
+    """The events of a run in which FMUs have event mode.
+
+    happened   the events so far
+    """
+
+    def __init__(self, network: Network, inputs: CouplingInputs, times: Grid) -> None:
+        self._network, self._times = network, times
+        self._members: dict[str, RunningFmu] = {
+            name: slave
+            for name, slave in network.slaves.items()
+            if isinstance(slave, RunningFmu) and slave.event_mode
+        }
+        for slave in self._members.values():
+            if isinstance(slave, SteppedFmu):
+                slave.stops = slave.interface.declares_events
+        for name, component in network.components.items():
+            struct, interface = component.struct, component.slave.interface
+            struct.events = name in self._members
+            lower = [s for i in component.inputs if (s := inputs.inputs[i]).fmu_degree < inputs.h.DEGREE]
+            held = any(s.requested_degree and not s.fmu_degree for s in lower)
+            struct.locates = isinstance(component.slave, SteppedFmu) or (interface.early_return and not held)
+            exact, near, states = (
+                inputs.h.EXACT,
+                inputs.h.NEAR_EVENT,
+                interface.model.structure["derivatives"],
+            )
+            for s in lower:
+                s.at_end = interface.event_mode and (near if s.fmu_degree and states else exact)
+        self.happened = list[Event]()
+        self._close, self._latest = 0, deque[str](maxlen=10)
+        self._time = times.start
+
+    def fill(self) -> None:
+        """Fill the structures for C."""
+        sim, state = self._network.binding.simulation, self._network.binding.simulation.events
+        state.used, state.located, state.next = True, bool(sim.rollback), np.inf
+        rounding = 8 * ulp(max(abs(self._times.start), abs(self._times.stop)))
+        state.tolerance = max(min(TIME_TOLERANCE, SHARE_OF_STEP * self._times.step), rounding)
+
+    def begin(self) -> None:
+        """The first instant, at the start."""
+        self._instant(self._times.start)
+
+    def __call__(self, t: float, never: bool) -> None:
+        """An instant at a time [s]; never: an FMU stops at other times whenever the step is repeated."""
+        asked = [name for name, c in self._network.components.items() if c.struct.asked]
+        if never:
+            got = "expected an event at one time when a step is repeated, got different times"
+            raise Problem(f"{', '.join(asked)}: after t = {t:.9g} s: {got}")
+        state = self._network.binding.simulation.events
+        asked += [
+            name
+            for name, slave in self._members.items()
+            if slave.next_event <= t + state.tolerance and name not in asked
+        ]
+        changed = self._instant(t)
+        for name in asked:  # an event at the beginning of a step that changes nothing is later
+            struct = self._network.components[name].struct
+            struct.locates = struct.locates and (bool(changed) or t > self._time)
+        causes = tuple(dict.fromkeys([*asked, *changed]))
+        self.happened.append(Event(t, causes))
+        self._latest.extend(changed or asked)
+        self._close = self._close + 1 if t - self._time <= CLOSE * self._times.step else 0
+        self._time = t
+        if self._close >= MOST_CLOSE_EVENTS:
+            names = ", ".join(dict.fromkeys(self._latest))
+            expected = f"expected time to pass between events, got {self._close} events without progress"
+            raise Problem(f"{names}: t = {t:.9g} s: {expected} (chattering)")
+
+    def _instant(self, t: float) -> list[str]:
+        """Take all members through event mode; returns the signals, not continuous, that have changed."""
+        changed = dict[str, None]()
+
+        def copied() -> list[str]:
+            found = self._copied(t)
+            changed.update(dict.fromkeys(found))
+            return found
+
+        for slave in self._members.values():
+            slave.enter_events()
+        where = f"{self._network.system.name}: t = {t:.9g} s"
+        ended, times = settle(where, {n: slave.update for n, slave in self._members.items()}, copied)
+        for slave in self._members.values():
+            slave.leave_events()
+        if ended:
+            raise self._members[ended].ended_at(t)
+        for name, time in times.items():
+            if not time > t:
+                raise Problem(f"{name}: expected the next event after t = {t:.9g} s, got {time:.9g} s")
+        state = self._network.binding.simulation.events
+        state.next = min(times.values(), default=np.inf)
+        return [*changed]
+
+    def _copied(self, t: float) -> list[str]:
+        """Copy values along all connections; returns the signals, not continuous, that have changed."""
+        network, found = self._network, list[str]()
+        network.binding.call("simulation_exchange", c_double(t))
+        for array in (network.reals, network.integers):
+            ports, before = network.discrete[array.name]
+            values = array.values[array.indices(ports)]
+            found += [str(self._source(ports[i])) for i in np.flatnonzero(values != before)]
+            before[:] = values
+        if found:
+            for call in network.instant_calls:
+                call()
+        return found
+
+    def _source(self, port: Port) -> Port:
+        return next((c.source for c in self._network.connections if c.target == port), port)

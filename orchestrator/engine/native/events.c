@@ -1,0 +1,96 @@
+/* Events of FMUs inside a communication step. All components step to the first event together, and go through it in one
+ * instant (events.py).
+ *
+ * An FMU that stops early gives the time of its event, for the inputs that it had in this step. They are others in a
+ * shorter step, so the step is repeated until it ends where the event is:
+ *
+ *     event_reached      an FMU has stopped: near enough to the end of the step, or not
+ *     event_approached   the next try ends a little after the time at which it stopped
+ *     event_missed       a try that has become too short: the next one is longer
+ *
+ * An FMU that only asks for event mode at the end of its step, and one that holds its inputs over it, give no time. The
+ * step is then bisected between one without the event and one with it.
+ */
+
+#include <math.h>
+#include <string.h>
+
+#include "engine.h"
+
+enum { MOST_TRIES = 120 };                        /* of one step: twice those of a bisection to the tolerance */
+static const double LATER = 0.01, SHIFT = 0.1;    /* how much later: of the rest of the step; of the last shift of the event */
+static const double FURTHER = 16.0;               /* growth of the length by which a try is longer than one that was too short */
+
+/* At the beginning of each try. */
+void event_try(Simulation *sim) {
+    sim->events.due = 0;
+    for (int32_t k = 0; sim->events.used && k < sim->component_count; k++) sim->components[k].asked = 0;
+}
+
+/* An FMU has stopped at a time [s], or asks for event mode at the end of its step; the verdict on its step. */
+int event_reached(Simulation *sim, Component *p, double reached, int early) {
+    Events *e = &sim->events;
+    const int known = early && p->locates;
+    p->asked = 1;
+    if (sim->component_count == 1 && known && reached > sim->t) sim->end = reached; /* no other is ahead of it */
+    const double behind = sim->end - reached, since = known ? reached : sim->t + e->low;
+    const int at_announced = fabs(sim->end - e->next) <= e->tolerance;
+    const int located = !e->located || at_announced || sim->end - since <= e->tolerance;
+    sim->reached = known ? reached : NAN;
+    if (behind > e->tolerance || !located) return AT_EVENT;
+    e->due = 1;
+    return CONTINUE;
+}
+
+/* Chooses the next try after a step of length h with an event inside; an event at its beginning needs no step. */
+int event_approached(Simulation *sim, double h, int *goes_back) {
+    Events *e = &sim->events;
+    const double time = sim->reached - sim->t, shift = SHIFT * fabs(time - e->before);
+    *goes_back = sim->rollback;
+    if (time <= 0.0) {
+        e->due = 1, sim->shorter = 0.0;
+        return CONTINUE;
+    }
+    if (!sim->rollback || ++e->tries > MOST_TRIES) return python_call(sim, INSTANT, -1, sim->t, h);
+    double later = LATER * (h - time);
+    if (e->high > 0.0 && shift < later) later = shift;
+    const double next = time + larger(later, 0.5 * e->tolerance);
+    e->high = h, e->before = time, e->margin = e->tolerance;
+    if (h - e->low <= e->tolerance && e->low > 0.0) sim->shorter = e->low; /* an FMU that is behind */
+    else sim->shorter = e->low < next && next < h ? next : 0.5 * (e->low + h);
+    return CONTINUE;
+}
+
+/* After a step of length h without an event: is there one in a longer try, which comes next? */
+int event_missed(Simulation *sim, double h) {
+    Events *e = &sim->events;
+    if (e->due || !(h < e->high) || e->high - h <= e->tolerance) return 0;
+    e->low = h, e->margin *= FURTHER;
+    sim->shorter = smaller(h + e->margin, 0.5 * (h + e->high));
+    return 1;
+}
+
+/* Is there an instant at the end of the step? By an FMU, a time event, or a signal that is not continuous. */
+int event_due(Simulation *sim) {
+    Events *e = &sim->events;
+    int due = e->due || (e->used && sim->t >= e->next - e->tolerance);
+    for (int32_t i = 0; i < e->real_count; i++) due |= sim->reals[e->real_targets[i]] != e->reals[i];
+    for (int32_t i = 0; i < e->integer_count; i++) due |= sim->integers[e->integer_targets[i]] != e->integers[i];
+    return due;
+}
+
+/* The values of signals that are not continuous, after an instant. */
+void event_values(Simulation *sim) {
+    Events *e = &sim->events;
+    for (int32_t i = 0; i < e->real_count; i++) e->reals[i] = sim->reals[e->real_targets[i]];
+    for (int32_t i = 0; i < e->integer_count; i++) e->integers[i] = sim->integers[e->integer_targets[i]];
+}
+
+/* Takes all FMUs with event mode through the events of this time. */
+int event_instant(Simulation *sim) {
+    Events *e = &sim->events;
+    const int verdict = e->used ? python_call(sim, INSTANT, 0, sim->t, 0.0) : CONTINUE;
+    event_values(sim);
+    e->due = e->tries = 0, e->low = e->high = 0.0;
+    return verdict;
+}

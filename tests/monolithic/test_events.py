@@ -1,0 +1,350 @@
+"""Events act at their time: all FMUs stop there, go through one instant, begin anew. By closed forms."""
+
+import csv
+from math import log, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from kit.any_fmu.models import Workshop
+from kit.mistakes import problem
+
+from orchestrator import Coupling, Master, Problem, RunFailed, assemble, reference, run
+
+MASTERS = {
+    "jacobi": Coupling("jacobi"),
+    "jacobi of order 3": Coupling("jacobi", order=3),
+    "gauss-seidel": Coupling("gauss-seidel"),
+    "gauss-seidel of order 2": Coupling("gauss-seidel", order=2),
+    "hermite": Coupling("hermite"),
+    "interface-jacobian": Coupling("interface-jacobian"),
+    "adaptive": Coupling("gauss-seidel", adaptive=1e-3),
+    "adaptive hermite": Coupling("hermite", adaptive=1e-5),
+}
+every_master = pytest.mark.parametrize("master", MASTERS.values(), ids=[*MASTERS])
+HEATED = ["room.T -> relay.y", "relay.on -> room.on"]
+STEP, STOP = 0.01, 3.0
+
+
+def length(master, step=STEP):
+    """The options for equal steps, or for rows at equal times."""
+    return {"record_step": step} if master.adaptive else {"step": step}
+
+
+def switches(stop):
+    """Times at which T' = on - T from 0 reaches 0.6, 0.4, 0.6 ..."""
+    times = [log(1 / 0.4)]
+    while times[-1] + log(1.5) < stop:
+        times.append(times[-1] + log(1.5))
+    return np.array(times)
+
+
+def temperature(time):
+    """T between these times."""
+    begins = np.append(0.0, switches(time[-1] + 1.0))
+    k = np.searchsorted(begins, time, side="right") - 1
+    first = np.where(k == 0, 0.0, np.where(k % 2 == 0, 0.4, 0.6))
+    on = k % 2 == 0
+    return on + (first - on) * np.exp(-(time - begins[k]))
+
+
+@pytest.fixture(scope="module")
+def each(tmp_path_factory):
+    """Small FMUs for Co-Simulation."""
+    return Workshop(tmp_path_factory.mktemp("each"), 3)
+
+
+def held(events, name):
+    """The times at which a signal changes."""
+    return np.array([event.time for event in events if name in event.causes])
+
+
+# ---- the time of an event
+
+
+@pytest.fixture(
+    params=[
+        "early",
+        "held",
+        "at the end",
+        "held, at the end",
+        "back to the beginning",
+        "heater",
+        "exchange",
+        "both",
+    ]
+)
+def heated(request, stopping, fmu):
+    """A relay and a room, the signal that switches, and the largest number of further steps for an event.
+
+    The relay knows the slope of its input, or holds it over a step; it stops early, or asks for event mode at
+    the end of the step. A heater stops by itself. Two FMUs for Model Exchange, or one of each kind.
+    """
+    kind = request.param
+    if kind == "heater":
+        fmus = {"room": stopping("heater"), "copy": stopping("copy")}
+        return assemble(fmus, ["room.cold -> copy.in", "copy.out -> room.on"]), "room.cold", 1
+    if kind in ("exchange", "both"):
+        relay = stopping("relay") if kind == "both" else fmu("thermo", 2, rolls=True)
+        fmus = {"relay": relay, "room": fmu("room", 3, rolls=True)}
+        return assemble(fmus, HEATED), "relay.on", 1
+    how = {"at the end": 1, "held, at the end": 1, "back to the beginning": 2}.get(kind, 0)
+    without = ("y_rate",) if kind != "early" and kind != "at the end" else ()
+    fmus = {"relay": stopping("relay", without), "room": stopping("room")}
+    most = 1 if kind == "early" else 3  # a bisection ends with a short step before it, and one to the event
+    return assemble(fmus, HEATED, {"relay.how": how}), "relay.on", most
+
+
+@every_master
+def test_a_relay_switches_a_room_at_its_time(heated, master):
+    """Times to 1e-9 s, temperature between them to 1e-6, at steps of 10 ms; few further steps."""
+    system, signal, most = heated
+    result = run(system, stop=STOP, **length(master), master=master, isolate=False)
+    exact = switches(STOP)
+    times = held(result.events, signal)
+    times = times[times > 0.5]  # the room of Model Exchange is not heated before its first event
+    assert len(times) == len(exact)
+    # an event is up to 1e-11 s late; the solver of Model Exchange has a tolerance of 1e-8
+    np.testing.assert_allclose(
+        times, exact, atol=1e-7 if "thermo" in str(system.components["room"]) else 1e-9
+    )
+    np.testing.assert_allclose(result["room.T"], temperature(result.trace.time), atol=1e-6)
+    assert len(result.trace.time) == STOP / STEP + 1
+    if not master.adaptive:
+        assert result.card.steps <= STOP / STEP + most * len(exact)
+    assert not [note for note in result.card.notes if "late," in note or "step late" in note]
+
+
+def test_a_ball_bounces_alone(stopping):
+    """One FMU needs no rollback: each bounce is where it stops, and the next step begins there."""
+    fmu = stopping("ball", canGetAndSetFMUState="false")
+    result = run(fmu, stop=2.0, step=0.1, isolate=False)
+    fall, e = sqrt(2 / 9.81), 0.7
+    bounces = fall + 2 * fall * np.cumsum(np.append(0.0, e ** np.arange(1, 30)))
+    bounces = bounces[bounces < 2.0]
+    np.testing.assert_allclose([event.time for event in result.events], bounces, rtol=1e-12)  # rounding
+    k = np.searchsorted(bounces, result.time, side="right") - 1
+    since = result.time - np.where(k < 0, 0.0, bounces[k])
+    speed = np.where(k < 0, 0.0, 9.81 * fall * e ** (k + 1.0))
+    first = np.where(k < 0, 1.0, 0.0)
+    exact = first + speed * since - 9.81 / 2 * since**2
+    np.testing.assert_allclose(result["ball.h"], exact, atol=1e-12)
+    assert result.card.steps == 20 + len(bounces)
+    assert ", 4 events" in result.card.text()
+
+
+def test_events_of_the_run_are_those_of_the_reference(fmu):
+    """A ball in Model Exchange beside an FMU that its height drives: the same events, with their times."""
+    fmus = {"ball": fmu("ball", 2, rolls=True), "lag": fmu("lag", 3, rolls=True)}
+    system = assemble(fmus, ["ball.h -> lag.u"])
+    truth = reference(system, stop=1.6, record_step=0.1)
+    result = run(system, stop=1.6, step=0.02, record_step=0.1, master="hermite", isolate=False)
+    assert len(truth.events) == 3
+    times = [[event.time for event in found.events] for found in (result, truth)]
+    np.testing.assert_allclose(*times, atol=1e-9)
+    # hermite at 20 ms with slopes by differences, which begin anew at each event: 4e-6 measured
+    np.testing.assert_allclose(result["lag.x"], truth["lag.x"], atol=1e-5)
+
+
+periods = st.floats(0.05, 0.9).map(lambda x: round(x, 3))
+
+
+@every_master
+@given(periods=st.tuples(periods, periods), step=st.sampled_from([0.1, 0.25]))
+def test_announced_events_act_at_their_time(stopping, master, periods, step):
+    """s1' = level of a ticker, s2' = level of another, at any step: a sum over the ticks until then."""
+    fmus = {
+        "a": stopping("ticker"),
+        "b": stopping("ticker"),
+        "first": stopping("sum"),
+        "second": stopping("sum"),
+    }
+    wires = ["a.level -> first.u", "b.level -> second.u"]
+    system = assemble(fmus, wires, {"a.period": periods[0], "b.period": periods[1]})
+    result = run(system, stop=2.0, **length(master, step), master=master, isolate=False)
+    for name, period in zip(("first.s", "second.s"), periods, strict=True):
+        ticks = period * np.arange(1, int(2.0 / period) + 2)
+        exact = np.maximum(np.subtract.outer(result.time, ticks), 0.0).sum(axis=1)
+        np.testing.assert_allclose(result[name], exact, atol=1e-9)  # a tick is up to 1e-9 s early: the FMU
+    ticked = [k * period for period in periods for k in range(1, 1 + int((2.0 + 1e-9) / period))]
+    for tick in ticked:
+        assert min(abs(event.time - tick) for event in result.events) < 1e-9
+
+
+def test_events_at_one_time_are_one_instant(stopping):
+    """Two FMUs tick at 0.5 s; a third takes both; in the file next to the trace."""
+    fmus = {"a": stopping("ticker"), "b": stopping("ticker"), "s": stopping("sum")}
+    system = assemble(fmus, ["a.level -> s.u"], {"a.period": 0.5, "b.period": 0.25})
+    events = run(system, stop=0.6, step=0.2).events
+    assert [event.time for event in events] == [0.25, 0.5]
+    assert [set(event.causes) for event in events] == [{"b"}, {"a", "b", "a.level"}]
+
+
+@pytest.mark.parametrize("isolate", [True, False])
+def test_the_events_are_in_a_file(stopping, tmp_path, isolate):
+    """One line each; a later run without events takes it away. Rows are those of the steps."""
+    system = assemble({"relay": stopping("relay"), "room": stopping("room")}, HEATED)
+    result = run(system, stop=1.5, step=0.1, isolate=isolate)
+    file = result.write(tmp_path / "trace.csv").with_suffix(".events.csv")
+    with file.open() as lines:
+        rows = list(csv.DictReader(lines))
+    assert [float(row["time"]) for row in rows] == [event.time for event in result.events]
+    assert [row["causes"] for row in rows] == ["relay relay.on"] * 2
+    assert len(result.time) == 16
+    run(system, stop=0.5, step=0.1, isolate=isolate).write(tmp_path / "trace.csv")
+    assert not file.exists()
+
+
+@pytest.mark.parametrize(
+    ("master", "limit"),
+    [
+        (Coupling("jacobi", order=2), 1.5e-4),
+        (Coupling("jacobi", order=3), 1.5e-4),
+        (Coupling("hermite"), 1e-6),
+    ],
+)
+def test_histories_begin_anew(stopping, each, master, limit):
+    """An integrator of the temperature, whose slope jumps at each event.
+
+    A first step without slope is off by up to h^2 / 4 = 2.5e-5, at 7 beginnings. With a history over the
+    events the errors are 2.7e-4, 1.1e-3 and 1.6e-5.
+    """
+    fmus = {"relay": stopping("relay"), "room": stopping("room"), "drift": each["drift"]}
+    result = run(
+        assemble(fmus, [*HEATED, "room.T -> drift.u"]), stop=STOP, step=STEP, master=master, isolate=False
+    )
+    t = np.linspace(0.0, STOP, 300001)
+    means = 0.5 * (temperature(t)[1:] + temperature(t)[:-1])
+    exact = np.interp(result.time, t, np.append(0.0, np.cumsum(np.diff(t) * means)))
+    assert np.abs(result["drift.y"] - exact).max() < limit
+
+
+# ---- where not all can go back
+
+
+def test_without_rollback_events_act_at_the_end_of_the_step(stopping):
+    """Then the FMU handles them itself, as without event mode, and the card names the component."""
+    room = stopping("room", canGetAndSetFMUState="false")
+    system = assemble({"relay": stopping("relay"), "room": room}, HEATED)
+    result = run(system, stop=STOP, step=STEP, isolate=False, error_estimate=True)
+    late = "effects of events of room, relay.on on other FMUs may come up to a step late"
+    assert any(
+        n.startswith(late) and n.endswith("because room cannot restore a saved state")
+        for n in result.card.notes
+    )
+    assert any(note.startswith("no error estimate: effects of events of room") for note in result.card.notes)
+    assert result.events == ()
+    # two steps late at each event, which moves the next ones
+    assert np.abs(result["room.T"] - temperature(result.time)).max() < 6 * 2 * STEP
+    even = stopping("room", canHandleVariableCommunicationStepSize="false")
+    notes = run(assemble({"relay": stopping("relay"), "room": even}, HEATED), stop=0.1, step=STEP).card.notes
+    assert any(note.endswith("because room has a fixed step") for note in notes)
+
+
+def test_a_master_of_ones_own_uses_no_event_mode(stopping):
+    """It steps FMUs itself."""
+
+    def in_turn(components, time, length):
+        for name in components:
+            components[name].step(time, length)
+
+    system = assemble({"relay": stopping("relay"), "room": stopping("room")}, HEATED)
+    result = run(system, stop=STOP, step=STEP, master=Master("own", step=in_turn))
+    assert np.abs(result["room.T"] - temperature(result.time)).max() < 6 * 2 * STEP
+
+
+# ---- what is claimed
+
+
+def test_the_estimate_holds_with_events_at_their_times(stopping):
+    """Halving the step changes as little as the truth is off; in another place the search claims nothing."""
+    system = assemble({"relay": stopping("relay"), "room": stopping("room")}, HEATED)
+    result = run(system, stop=STOP, step=STEP, error_estimate=True, isolate=False)
+    (error,) = (e for e in result.card.errors if e.name == "room.T")
+    true = np.abs(result["room.T"] - temperature(result.time)).max()
+    assert error.change < 1e-9
+    assert true < 1e-9
+    notes = run(system, stop=1.0, accuracy=1e-3, isolate=False).card.notes
+    told = (
+        "accuracy 0.001 of room.T: not known, because of events of room, events of relay; without: estimated"
+    )
+    assert any(note.startswith(told) for note in notes), notes
+
+
+# ---- mistakes: one line, and the rows until then
+
+
+WRONG = {
+    3: (
+        "relay: t = 0.510000002 s: expected time to pass between events, got 200 events without progress",
+        0.5,
+    ),
+    5: (
+        "t = 0.916290732 s: expected at most 100 event iterations, got more: the discrete states do not",
+        0.9,
+    ),
+    6: ("relay: the step failed at t = 0.55 s with status discard", 0.5),
+}
+
+
+@pytest.mark.parametrize("how", WRONG)
+def test_misuse_of_events_ends_the_run_with_its_rows(stopping, how):
+    """An FMU that stops for ever, whose states never settle, that discards for ever."""
+    system = assemble({"relay": stopping("relay"), "room": stopping("room")}, HEATED, {"relay.how": how})
+    with pytest.raises(RunFailed) as failed:
+        run(system, stop=1.0, step=STEP, isolate=False)
+    message, last = WRONG[how]
+    assert message in str(failed.value), failed.value
+    assert "\n" not in str(failed.value)
+    assert failed.value.result.trace.time[-1] >= last - 1e-9
+
+
+def test_an_event_in_the_past_is_refused(stopping):
+    """One that is now, too: no time would pass."""
+    system = assemble(
+        {"t": stopping("ticker"), "s": stopping("sum")}, ["t.level -> s.u"], {"t.how": 4, "t.period": 0.2}
+    )
+    with pytest.raises(
+        RunFailed, match=r"^t: expected the next event after t = 0\.6 s, got 0\.5 s$"
+    ) as failed:
+        run(system, stop=1.0, step=0.1, isolate=False)
+    assert failed.value.result.trace.time[-1] == pytest.approx(0.5)
+    system = assemble({"t": stopping("ticker"), "s": stopping("sum")}, ["t.level -> s.u"], {"t.period": 0.0})
+    with pytest.raises(Problem, match=r"the discrete states do not settle: t\.level"):
+        run(system, stop=1.0, step=0.1, isolate=False)
+
+
+def test_chattering_is_named_with_its_signals(stopping, fmu):
+    """A relay without hysteresis: each event brings the next one about, with or without time between them."""
+    level = {"relay.low": 0.5, "relay.high": 0.5}
+    system = assemble({"relay": stopping("relay"), "room": stopping("room")}, HEATED, level)
+    text = r"relay\.on: t = 0\.69\d* s: expected time to pass between events, got 200 events without progress"
+    with pytest.raises(RunFailed, match=text) as failed:
+        run(system, stop=1.0, step=STEP, isolate=False)
+    assert failed.value.result.trace.time[-1] == pytest.approx(0.69)
+    exchange = {"relay": fmu("thermo", 3, rolls=True), "room": fmu("room", 3, rolls=True)}
+    with pytest.raises(RunFailed, match=r"t = 0\.69\d* s: .* do not settle: relay\.on"):
+        run(assemble(exchange, HEATED, level), stop=1.0, step=STEP, isolate=False)
+
+
+def test_a_loop_of_discrete_signals_that_does_not_settle_is_named(stopping):
+    """Two copies in a circle settle; if one of them turns its input round they never do."""
+    fmus = {"a": stopping("copy"), "b": stopping("copy"), "t": stopping("ticker"), "s": stopping("sum")}
+    wires = ["a.out -> b.in", "b.out -> a.in", "t.level -> s.u"]
+    assert run(assemble(fmus, wires), stop=0.1, step=0.1, isolate=False).complete
+    system = assemble(fmus, wires, {"b.not": True})
+    text = r"at most 100 event iterations, got more: the discrete states do not settle: [ab]\.out"
+    problem(lambda: run(system, stop=0.1, step=0.1, isolate=False), text)
+
+
+def test_an_fmu_may_end_the_run_at_an_event(stopping):
+    """At its time."""
+    result = run(
+        assemble({"t": stopping("ticker")}, [], {"t.how": 7, "t.period": 0.25}),
+        stop=1.0,
+        step=0.1,
+        isolate=False,
+    )
+    assert result.complete
+    assert result.time[-1] == 0.25
