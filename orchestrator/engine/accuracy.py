@@ -268,7 +268,7 @@ class AccuracySearch:
             self.settings = self._adaptive(FIRST_TOLERANCE * self.accuracy)
             return
         coupling = last.coupling if known is HERMITE or jumping else self._guarded(FURTHER)
-        if last.coupling.guard and last.coupling.order == coupling.order and not jumping:
+        if coupling.guard and last.coupling.guard and last.coupling.order == FURTHER.order:
             coupling = replace(coupling, guard=last.coupling.guard * ratio**2)
         self.settings = Settings(coupling, ratio * last.step, self._tolerance)
 
