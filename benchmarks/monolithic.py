@@ -34,8 +34,9 @@ from fmus.machine.machine import wiring
 from fmus.machine.parts import FAMILIES, FERIC, OTHER_CIRCUITS
 from fmus.monolith import join, merge_times, simulate
 from orchestrator import Result, Trace, reference, run
+from orchestrator.engine.refinement import estimated_error
 from orchestrator.engine.result import SignalError, changes, signal_errors
-from orchestrator.monolithic.tight import estimated_error, master
+from orchestrator.monolithic.reference import master
 from orchestrator.ssp.load import load
 
 EQUAL = 1e-8  # of the range of each signal

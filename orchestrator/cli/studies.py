@@ -198,7 +198,7 @@ def sweep(
     no_report   Leave out the page report.html.
     """
     require("sweep", "harvester sweep")
-    from orchestrator.lanes.group import FAILED, NOT_RELIABLE
+    from orchestrator.lanes.group import Status
     from orchestrator.studies import parameter_study, read_study
 
     chosen = read_study(study)
@@ -217,4 +217,4 @@ def sweep(
         from orchestrator.studies.report import study_page
 
         print(f"report: {study_page.report(folder)}")
-    return not table["status"].isin((FAILED, NOT_RELIABLE)).all()
+    return not table["status"].isin((Status.FAILED, Status.NOT_RELIABLE)).all()

@@ -136,8 +136,9 @@ class _Supervision:
         self._number = next(_numbers)
         task = RunTask(job, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, many)
         worker.put(task)
-        self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
-        self._interrupted, self._limit = False, ""
+        self._kill_at, self._began = float("inf"), time.perf_counter()
+        self._interrupted = self._killed = False
+        self._limit: LimitExceeded | None = None
 
     def outcome(self, check: Callable[[], None], between: Callable[[float], bool]) -> RunEnd:
         """Wait for the end of the run; both functions may raise KeyboardInterrupt to interrupt it."""
@@ -157,23 +158,23 @@ class _Supervision:
             try:
                 check()
                 ends = between(self._t)
-                if not self._killed_because:
+                if not self._killed:
                     self._worker.check_limits(self._limits, self._limited_from)
             except KeyboardInterrupt:
                 if self._interrupted:
-                    self._kill("interrupted")
+                    self._kill()
                 ends = self._interrupted = True
             except LimitExceeded as limit:
-                self._limit = "time_limit" if limit.timed_out else "memory_limit"
-                self._kill(str(limit))
+                self._limit = limit
+                self._kill()
             if ends and self._kill_at == float("inf"):
                 self._worker.put(STOP)
                 self._kill_at = time.monotonic() + STOP_TIME
             if time.monotonic() > self._kill_at:
-                self._kill("interrupted")
+                self._kill()
 
-    def _kill(self, reason: str) -> None:
-        self._killed_because = self._killed_because or reason
+    def _kill(self) -> None:
+        self._killed = True
         self._worker.kill()
 
     def _receive(self, name: str, content: Any) -> None:
@@ -232,13 +233,15 @@ class _Supervision:
         from orchestrator.engine.result import RunEnd
         from orchestrator.fmi.messages import Log
 
-        interrupted = self._interrupted and self._killed_because == "interrupted"
+        limit, interrupted = self._limit, self._interrupted and self._killed and not self._limit
         message = self._cause()
         if self._layout is None and interrupted:
             raise KeyboardInterrupt(message)
         first = f"{self._outcome.problem}; then " if self._outcome and self._outcome.problem else ""
         message = f"{first}{message}"  # many FMUs crash when they are freed
-        problem = LimitReached(message, self._limit) if self._limit else Problem(message)
+        problem = Problem(message)
+        if limit is not None:
+            problem = LimitReached(message, "time_limit" if limit.timed_out else "memory_limit")
         if self._layout is None:
             raise problem
         outcome = self._outcome or RunEnd(self._times.start)
@@ -251,9 +254,10 @@ class _Supervision:
 
     def _cause(self) -> str:
         """The FMU, what happened, and in which call, in one line."""
-        cause, where = self._killed_because or self._worker.cause, self._worker.where
-        if cause == "interrupted":
+        where = self._worker.where
+        if self._killed and self._limit is None:  # a run that did not end when it was asked to
             return where
+        cause = str(self._limit or self._worker.cause)
         process = (
             "" if where.startswith("in ") or cause.startswith("the process") else "the process of the run: "
         )

@@ -19,19 +19,19 @@ from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.options import checked, documented
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
-from orchestrator.data.trace import SAME_TIME, Trace
+from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.accuracy import AccuracySearch, estimates_errors
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.isolated import run_isolated, start_process
 from orchestrator.engine.job import Job, Options, begun, isolated, open_slave
+from orchestrator.engine.refinement import with_error_estimate
 from orchestrator.engine.result import (
     Card,
     Interrupted,
     Result,
     RunEnd,
     RunFailed,
-    changes,
     metadata_file,
     metadata_text,
     write_events,
@@ -40,7 +40,6 @@ from orchestrator.engine.scenario import ScenarioFile, ScenarioSource
 from orchestrator.engine.time_grid import RECORD_STEP, Grid, record_interval, step_length
 from orchestrator.engine.until import Until
 from orchestrator.ssp.coupling import take_coupling
-from orchestrator.ssp.dependencies import late_effects
 from orchestrator.ssp.plausible import doubts_told
 from orchestrator.ssp.system import System
 
@@ -114,20 +113,20 @@ def _co_simulated(
         try:
             end = simulate(job, sink)
             with DeferredInterrupts(second_at_once=False) as interrupts:
-                result: Result | None = job.result(end, sink)
-                if search and result is not None:
-                    result = search.judge(result)
-                if result is not None:  # one without signals is false
-                    keep(result, sink, interrupts.check)
+                result = job.result(end, sink)
+                if search and not search.accepts(result):
+                    search.choose_stricter(result)
+                    continue
+                result = search.noted(result) if search else result
+                keep(result, sink, interrupts.check)
         except RunFailed as failed:
             if not (search and not failed.final and not failed.result.complete and search.goes_on()):
                 raise
-            result = None
+            continue
         finally:
             sink.close()
-        if result is not None:
-            estimate = options.get("error_estimate") and not search
-            return with_error_estimate(job, result) if estimate else result, sink
+        estimate = options.get("error_estimate") and not search
+        return with_error_estimate(job, result, _in_memory) if estimate else result, sink
 
 
 def simulate(job: Job, sink: TraceSink) -> RunEnd:
@@ -156,47 +155,10 @@ def simulate(job: Job, sink: TraceSink) -> RunEnd:
         return until.ended(end) if until else end
 
 
-def with_error_estimate(job: Job, result: Result) -> Result:
-    """A complete run with error estimates on its card, or with a note if a further run fails.
-
-    If the run itself has estimated its errors, there are no further runs.
-    """
-    if late := late_effects(job.system, job.coupling):
-        reason = f"effects of {late} may come up to a step late, also in a run at half the step"
-        return replace(result, errors=None).noted(f"no error estimate: {reason}", errors=())
-    if result.card.errors_of_inputs:
-        return result
-
-    def repeated(job: Job) -> Result:
-        sink = TraceInMemory()
-        return job.result(simulate(job, sink), sink)
-
-    times = job.times
-    short = result.card.simulated < (1.0 - SAME_TIME) * (times.stop - times.start)
-    if short and job.options.get("until") is not None:
-        return result.noted("no error estimate: the run ended before its stop time")
-    if times.free:
-        reason = "two adaptive runs have common times only with a record step; set --record-step"
-        return result.noted(f"no error estimate: {reason}")
-    adaptive = job.coupling.adaptive is not None
-    try:
-        fine = repeated(job.stricter() if adaptive else replace(job, times=times.finer()))
-        coarse = None
-        if not adaptive and times.steps >= 4:
-            with suppress(RunFailed):
-                coarse = repeated(replace(job, times=times.coarser()))
-    except Problem as failed:
-        setting = "a tenth of the tolerance" if adaptive else "half the step"
-        return result.noted(f"no error estimate, the run at {setting} failed: {failed}")
-    except Interrupted as interrupted:
-        raise Interrupted(result, str(interrupted)) from None
-    counts = len(result.events), len(fine.events)
-    if counts[0] != counts[1]:
-        reason = f"{counts[0]} events, and {counts[1]} in the run to compare with"
-        return result.noted(f"no error estimate: {reason}", errors=())
-    errors = changes(coarse, result, fine)
-    notes = () if errors else ("no error estimate: no output changes",)
-    return result.noted(*notes, errors=errors)
+def _in_memory(job: Job) -> Result:
+    """The result of a job, whose rows are in memory."""
+    sink = TraceInMemory()
+    return job.result(simulate(job, sink), sink)
 
 
 class ProgressBar(AbstractContextManager["ProgressBar"]):

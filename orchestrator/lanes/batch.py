@@ -28,7 +28,7 @@ from orchestrator.engine.result import Interrupted
 from orchestrator.engine.scenario import ScenarioSource
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import LANES, NotInLanes
-from orchestrator.lanes.group import NOT_RELIABLE, OK, Ended, Lanes
+from orchestrator.lanes.group import Ended, Lanes, Status
 from orchestrator.lanes.many import BY_USER, Runs, in_threads
 from orchestrator.ssp.masters import MASTERS
 from orchestrator.ssp.plausible import doubtful, with_doubts
@@ -138,9 +138,9 @@ def batch(
     arrays = dict(zip(signals, rows, strict=True))
 
     def result(ended: Mapping[int, Ended], notes: tuple[str, ...]) -> BatchResult:
-        status = np.array([ended[i].status if i in ended else OK for i in range(count)])
+        status = np.array([ended[i].status if i in ended else Status.OK for i in range(count)])
         reasons = [ended[i].reason if i in ended else "" for i in range(count)]
-        doubted = [i for i in range(count) if status[i] == NOT_RELIABLE]
+        doubted = [i for i in range(count) if status[i] == Status.NOT_RELIABLE]
         told = [f"{len(doubted)} of {count} machines: {reasons[doubted[0]]}"] if doubted else []
         every = (*told, *job.system.notes, *warnings, *times.notes, *notes)
         wall = time.perf_counter() - began

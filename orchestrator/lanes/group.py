@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import partial
 from threading import Lock
 from typing import Any
@@ -36,19 +37,23 @@ ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
 COMMON = ("target", "source", "source_component", "order", "autonomous", "noisy", "factor", "offset", "scale")
 COMPILING = "compiling the FMUs for this processor, which is done once; lanes=False compiles nothing"
-OK, EARLY, FAILED, NOT_RELIABLE, INTERRUPTED = "ok", "early", "failed", "unreliable", "interrupted"
+
+
+class Status(StrEnum):
+    """How a run ended; EARLY: an FMU asked for the end, NOT_RELIABLE: it is complete."""
+
+    OK = "ok"
+    EARLY = "early"
+    FAILED = "failed"
+    NOT_RELIABLE = "unreliable"
+    INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True)
 class Ended:
-    """Why a machine ended early, or is not reliable.
+    """Why a machine ended early, or is not reliable; limit: time_limit or memory_limit, if that ended it."""
 
-    status   EARLY if an FMU asked for the end, NOT_RELIABLE if the machine came to its end, INTERRUPTED if
-             the user ended it, else FAILED
-    limit    time_limit or memory_limit, if that ended it
-    """
-
-    status: str
+    status: Status
     reason: str
     limit: str = ""
 
@@ -497,7 +502,7 @@ class Group:
         found, (residual, _, exchanged) = dict(self.ended()), self._energies()
         for lane in np.flatnonzero(energies_above(residual, exchanged).any(axis=0)).tolist():
             lines = unreliable_energies(self.energies(lane))
-            found.setdefault(lane, Ended(NOT_RELIABLE, "; ".join(lines)))
+            found.setdefault(lane, Ended(Status.NOT_RELIABLE, "; ".join(lines)))
         return found
 
     def energies(self, lane: int) -> list[BondEnergy]:
@@ -514,7 +519,7 @@ class Group:
         """Lane and reason of the machines that have failed."""
         for lane, failure in enumerate(self._failures):
             if failure.kind:
-                yield lane, Ended(FAILED, self._reason(failure))
+                yield lane, Ended(Status.FAILED, self._reason(failure))
 
     def _reason(self, f: Any) -> str:
         h, model, when = header(), self.lanes.models[f.component], f"at t = {f.time:.9g} s"

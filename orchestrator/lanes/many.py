@@ -28,12 +28,12 @@ from orchestrator.engine.isolated import processes, run_isolated
 from orchestrator.engine.job import ENDS_EARLY, Job, Options, is_late
 from orchestrator.engine.result import BondEnergy, Interrupted, Result, RunFailed
 from orchestrator.lanes.compiled import LANES
-from orchestrator.lanes.group import EARLY, FAILED, INTERRUPTED, NOT_RELIABLE, Ended, Group, Lanes
+from orchestrator.lanes.group import Ended, Group, Lanes, Status
 from orchestrator.ssp.system import Component, Port, System
 
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
-BY_USER = Ended(INTERRUPTED, "by the user")
+BY_USER = Ended(Status.INTERRUPTED, "by the user")
 
 
 def many(
@@ -155,7 +155,7 @@ class Runs:
     def alone(self, job: Job) -> tuple[Result | None, Ended | None]:
         """The result of a run, None if it did not begin, and why it ended early or is not reliable."""
         if is_late(job.options):
-            return None, Ended(FAILED, f"not begun within {job.options['time_limit']:g} s")
+            return None, Ended(Status.FAILED, f"not begun within {job.options['time_limit']:g} s")
         sink = TraceInMemory()
         try:
             result = job.result(run_isolated(job, sink, self._between, self._pool), sink)
@@ -168,15 +168,15 @@ class Runs:
         notes, unreliable = result.card.notes, result.card.unreliable
         early = [note.removeprefix(ENDS_EARLY) for note in notes if note.startswith(ENDS_EARLY)]
         if early:
-            return result, Ended(EARLY, " ".join(early[0].split()))
-        return result, Ended(NOT_RELIABLE, "; ".join(unreliable)) if unreliable else None
+            return result, Ended(Status.EARLY, " ".join(early[0].split()))
+        return result, Ended(Status.NOT_RELIABLE, "; ".join(unreliable)) if unreliable else None
 
     def _failed(self, problem: Problem, cause: BaseException | None) -> Ended:
         """The end of a run by a problem, with the names of the original FMUs."""
         reason = " ".join(str(problem).split())
         for source, copy in self._copies.items():
             reason = reason.replace(str(copy), str(source))
-        return Ended(FAILED, reason, cause.limit if isinstance(cause, LimitReached) else "")
+        return Ended(Status.FAILED, reason, cause.limit if isinstance(cause, LimitReached) else "")
 
     def _between(self, _: float) -> bool:
         if self._stopped:
@@ -212,10 +212,10 @@ class Runs:
             self._busy.remove(group)
         machines = range(first, min(first + LANES, count))
         if group.struct.stop:  # which is for good
-            late = Ended(FAILED, f"not done within {within:g} s")
+            late = Ended(Status.FAILED, f"not done within {within:g} s")
             why = BY_USER if self._stopped else late
             for i in machines:
-                failed = i in ended and ended[i].status == FAILED
+                failed = i in ended and ended[i].status == Status.FAILED
                 if not failed and any(np.isnan(row[i, -1]) for row in rows):
                     ended[i] = why
         else:

@@ -18,7 +18,7 @@ from orchestrator.base.processes import machine_memory
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.realtime.deadlines import latency_quantile, speed_factor
-from orchestrator.realtime.setup import Frame, Setup, Task, Timing
+from orchestrator.realtime.setup import Frame, Setup, State, Task, Timing
 from orchestrator.realtime.shared_memory import Command, MachineStatus, Memory, SharedState, layout
 from orchestrator.worker.process import Worker
 
@@ -63,9 +63,9 @@ class MachineProcess:
         state, message = self._state(self.shared.status())
         began = time.monotonic()
         self.worker.close()
-        if state == "failed":
+        if state == State.FAILED:
             self._failure = message
-        elif self.shared.status().state != "ended":  # the FMUs are not closed
+        elif self.shared.status().state != State.ENDED:  # the FMUs are not closed
             late = time.monotonic() - began > END_TIMEOUT
             told = f"did not end within {END_TIMEOUT:g} s, stopped"
             cause = told if late else f"ended: {self.worker.ending}"
@@ -124,37 +124,37 @@ class MachineProcess:
         full = status.last - self.first >= room
         return status.last - room + 1 + min(MARGIN, room // 4) if full else self.first
 
-    def _state(self, status: MachineStatus) -> tuple[str, str]:
+    def _state(self, status: MachineStatus) -> tuple[State, str]:
         """State and message. A process has failed if it ends, takes too much memory or does not answer."""
-        if status.state == "failed":
+        if status.state == State.FAILED:
             lost = f"an FMU wrote over the memory of the machine {self.worker.where}"
-            return "failed", str(_details(status).get("message", lost))
+            return State.FAILED, str(_details(status).get("message", lost))
         self.worker.cut_printed()
         if not self._failure and self.worker.memory > MEMORY:
             most = f"{MEMORY / 1e9:.3g} GB of memory"
             self._failure = f"the machine uses more than {most}, stopped {self.worker.where}"
             self.worker.close()
         if self._failure:
-            return "failed", self._failure
+            return State.FAILED, self._failure
         if self.closed:
-            return "ended", ""
+            return State.ENDED, ""
         if ending := self.worker.ending:
-            return "failed", f"the process of the machine ended: {ending} {self.worker.where}"
+            return State.FAILED, f"the process of the machine ended: {ending} {self.worker.where}"
         return self._heard_of(status)
 
-    def _heard_of(self, status: MachineStatus) -> tuple[str, str]:
+    def _heard_of(self, status: MachineStatus) -> tuple[State, str]:
         """State and message by the last sign of life."""
-        now, starting = time.monotonic(), status.state == "starting"
+        now, starting = time.monotonic(), status.state == State.STARTING
         if starting and now - self._began > START_TIMEOUT:
             self._failure = f"the machine has not started within {START_TIMEOUT:g} s {self.worker.where}"
             self.worker.close()
-            return "failed", self._failure
+            return State.FAILED, self._failure
         if starting or status.heartbeat != self._heartbeat:
             self._heartbeat, self._heard = status.heartbeat, now
         if (silent := now - self._heard) > SILENT:
             with suppress(AttributeError, OSError):  # a hanging FMU keeps no core from others
                 os.sched_setscheduler(self.worker.pid, os.SCHED_OTHER, os.sched_param(0))  # type: ignore[attr-defined,unused-ignore]
-            return "failed", f"the machine has not answered for {silent:.0f} s {self.worker.where}"
+            return State.FAILED, f"the machine has not answered for {silent:.0f} s {self.worker.where}"
         return status.state, str(_details(status).get("unreliable", ""))
 
 
@@ -185,7 +185,7 @@ class RealTimeMachine:
         self._process = self._open(setup, 0)
         try:
             frame = self.ready()
-            if frame.state == "failed":
+            if frame.state == State.FAILED:
                 raise Problem(frame.message)
         except BaseException:
             self.close()
@@ -287,7 +287,7 @@ class RealTimeMachine:
 
     def ready(self) -> Frame:
         """Wait until the machine has started or failed to start."""
-        while (frame := self.latest()).state == "starting":
+        while (frame := self.latest()).state == State.STARTING:
             time.sleep(POLL)
         return frame
 

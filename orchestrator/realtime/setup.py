@@ -4,6 +4,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from enum import StrEnum
 from math import isfinite
 from pathlib import Path
 from typing import Protocol
@@ -119,6 +120,16 @@ class Timing:
     load: float = 0.0
 
 
+class State(StrEnum):
+    """What a machine does, in the order of its memory, which is zero at first."""
+
+    STARTING = "starting"
+    RUNNING = "running"
+    PAUSED = "paused"
+    ENDED = "ended"
+    FAILED = "failed"
+
+
 @dataclass(frozen=True)
 class Frame:
     """Values and state of the machine at one instant.
@@ -127,7 +138,6 @@ class Frame:
     t          simulated time [s]
     axes       values of the axes after limits, shape (axes,)
     values     values of the signals, shape (signals,)
-    state      "starting", "running", "paused", "ended", "failed"
     message    reason of a failure, or why the motion is not reliable, else empty
     """
 
@@ -135,7 +145,7 @@ class Frame:
     t: float
     axes: Array
     values: Array
-    state: str
+    state: State
     message: str
     timing: Timing
 
@@ -181,7 +191,7 @@ def failures_reported(
     def look() -> None:
         nonlocal failed
         frame, before = machine.latest(), failed
-        failed = frame.state == "failed"
+        failed = frame.state == State.FAILED
         if failed and not before:
             saved = ""
             with suppress(Problem):

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from orchestrator.data.table import Array
 from orchestrator.realtime.deadlines import BINS
+from orchestrator.realtime.setup import State
 
 
 class Memory:
@@ -74,7 +75,7 @@ def _nameless() -> int:
         return os.dup(file.fileno())
 
 
-STATES = ("starting", "running", "paused", "ended", "failed")
+STATES = tuple(State)  # in the memory by their numbers
 TEXT = 1 << 20  # bytes of the details
 TRIES = 1000  # readings while the writer writes, which takes microseconds
 
@@ -91,7 +92,7 @@ class Command(NamedTuple):
 class MachineStatus(NamedTuple):
     """Status of the process. last: number of the latest frame; heartbeat: counts its loops."""
 
-    state: str
+    state: State
     text: str
     last: int
     heartbeat: int
@@ -164,7 +165,7 @@ class SharedState:
         """Write a frame. Readers ignore it until the status has its number."""
         self.frames[number % len(self.frames)] = (number, t, axes, values)
 
-    def set_state(self, state: str, text: str) -> None:
+    def set_state(self, state: State, text: str) -> None:
         """Publish a state, with its details as text."""
         data = text.encode("utf-8")[:TEXT]
         with self.writing() as status:
@@ -183,7 +184,7 @@ class SharedState:
             if read["sequence"] % 2 == 0 and read["sequence"] == self._status["sequence"]:
                 break
         number, *others = read["content"].item()
-        state = STATES[number] if 0 <= number < len(STATES) else "failed"  # an FMU may write anywhere
+        state = STATES[number] if 0 <= number < len(STATES) else State.FAILED  # an FMU may write anywhere
         return MachineStatus(state, text.decode("utf-8", "replace"), *others)
 
 

@@ -32,7 +32,7 @@ from orchestrator.engine.scenario import ScenarioFile, ScenarioTable, values_ove
 from orchestrator.engine.simulation_loop import simulation
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
-from orchestrator.realtime.setup import Axis, Setup, Task
+from orchestrator.realtime.setup import Axis, Setup, State, Task
 from orchestrator.realtime.shared_memory import Command, SharedState, attach
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import System
@@ -60,12 +60,12 @@ def main(channel: Channel) -> None:
             shared.write_frame(task.first, stepper.t, stepper.axes, stepper.values)
             with shared.writing() as status:
                 status["last"] = task.first
-            shared.set_state("paused", json.dumps(details))
+            shared.set_state(State.PAUSED, json.dumps(details))
             _loop(stepper, task, shared, details, channel.ended)
-        shared.set_state("ended", json.dumps(details))
+        shared.set_state(State.ENDED, json.dumps(details))
     except Exception as problem:
         message = str(problem) if isinstance(problem, Problem) else f"{type(problem).__name__}: {problem}"
-        shared.set_state("failed", json.dumps(details | {"message": " ".join(message.split())}))
+        shared.set_state(State.FAILED, json.dumps(details | {"message": " ".join(message.split())}))
     channel.ended.wait()
 
 
@@ -89,7 +89,7 @@ def _loop(
         commanded, length = watchdog.commanded(command, began), setup.frame / command.speed
         if command.playing != running:
             running = command.playing
-            shared.set_state("running" if running else "paused", json.dumps(details))
+            shared.set_state(State.RUNNING if running else State.PAUSED, json.dumps(details))
             clock.begin(length)
         elif running:
             now = stepper.axes
@@ -100,7 +100,7 @@ def _loop(
             if (doubt := stepper.unreliable) != details.get("unreliable", ""):
                 details["notes"] += [] if "unreliable" in details else [f"at t = {stepper.t:.3g} s: {doubt}"]
                 details["unreliable"] = doubt
-                shared.set_state("running", json.dumps(details))
+                shared.set_state(State.RUNNING, json.dumps(details))
             clock.done(length)
 
 

@@ -6,8 +6,7 @@
     parameter_study          `harvester sweep`
     analysis, report         statistics and sensitivities of its results, and their page
     convergence              `harvester convergence`: error of each master over the communication step
-    path_...                 `harvester track`: distance of the tip from its path
-    variants                 `harvester variants`: cost of each variant, and its effect on the results
+    variant_costs            `harvester variants`: cost of each variant, and its effect on the results
 
 In Python: `from orchestrator.studies import Study, sweep` and the names below.
 """

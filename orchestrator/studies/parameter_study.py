@@ -28,7 +28,7 @@ from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
 from orchestrator.base.text import TextTable, display_unit, grouped
 from orchestrator.lanes.compiled import LANES
-from orchestrator.lanes.group import EARLY, FAILED, NOT_RELIABLE, OK
+from orchestrator.lanes.group import Status
 from orchestrator.lanes.many import archives_of, in_threads
 from orchestrator.studies import design, store
 from orchestrator.studies.analysis.output_samples import without_numbers
@@ -177,7 +177,7 @@ class StudyProgress:
         tenth, text = PROGRESS_LINES * done // total, ""
         if batch:
             self._new += len(batch)
-            self._failed += sum(r.status == FAILED for r in batch)
+            self._failed += sum(r.status == Status.FAILED for r in batch)
             rate = self._new / (time.perf_counter() - self._began)
             text = f"{rate:.1f} runs/s, {(total - done) / rate:.0f} s left"
             text += f", {self._failed} failed" if self._failed else ""
@@ -206,9 +206,9 @@ def progress() -> Iterator[Watch]:
 def summary(results: store.Results) -> str:
     """Number of runs of each status, range of the outputs, and reasons of failures."""
     counts = results.table["status"].value_counts()
-    words = (OK, NOT_RELIABLE, EARLY, FAILED)
+    words = (Status.OK, Status.NOT_RELIABLE, Status.EARLY, Status.FAILED)
     statuses = ", ".join(f"{counts[status]} {status}" for status in words if status in counts)
-    valid, rows = results.table[results.table["status"] != NOT_RELIABLE], []
+    valid, rows = results.table[results.table["status"] != Status.NOT_RELIABLE], []
     for output in results.study.outputs:
         column = valid[output.column]
         unit = display_unit(output.unit, column.abs().max())
@@ -225,7 +225,7 @@ def _reasons(results: store.Results) -> list[str]:
     Reasons that differ only in their numbers are one, shown by its first run.
     """
     status = results.table["status"]
-    reasons = results.table.loc[status.isin((FAILED, NOT_RELIABLE)), "reason"]
+    reasons = results.table.loc[status.isin((Status.FAILED, Status.NOT_RELIABLE)), "reason"]
     same = reasons.groupby(without_numbers(reasons), sort=False)
     groups = sorted((group for _, group in same), key=len, reverse=True)
     lines = []

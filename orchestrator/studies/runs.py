@@ -24,7 +24,7 @@ from orchestrator.engine.job import Job
 from orchestrator.engine.result import BondEnergy, bonds_above
 from orchestrator.lanes.batch import machine_values, recorded_times
 from orchestrator.lanes.compiled import LANES
-from orchestrator.lanes.group import FAILED, INTERRUPTED, NOT_RELIABLE, OK, Ended, Lanes
+from orchestrator.lanes.group import Ended, Lanes, Status
 from orchestrator.lanes.many import Runs
 from orchestrator.studies.cases import Options, Sample, StudyCase, Unit, signal
 from orchestrator.studies.study import Output, Study
@@ -115,7 +115,7 @@ class StudyRuns:
         try:
             job = self._job(sample.options)
             result, end = self._runs.alone(replace(job, system=job.system.with_start(sample.factors)))
-            if result is None or (end and end.status in (FAILED, INTERRUPTED)):
+            if result is None or (end and end.status in (Status.FAILED, Status.INTERRUPTED)):
                 reason = end.reason if end else ""
                 limit = f"{end.limit} = {limits_of(study)[end.limit]:.9g}: " if end and end.limit else ""
                 return failed(study, sample.run, f"{limit}{reason}")
@@ -136,7 +136,7 @@ class StudyRuns:
         found: dict[int, RunOutcome] = {}
         ends = self._runs.together(lanes, values, rows, 0, count, job.options)
         for i, (sample, (bonds, end)) in enumerate(zip(unit, ends, strict=True)):
-            if not end or end.status == NOT_RELIABLE:
+            if not end or end.status == Status.NOT_RELIABLE:
                 signals = {str(port): values[i] for port, values in zip(lanes.signals, rows, strict=True)}
                 trace = Trace(recorded_times(job.times), signals)
                 found[sample.run] = complete(study, case, sample.run, trace, bonds, end)
@@ -173,7 +173,7 @@ class RunOutcome:
 
 def failed(study: Study, run: int, reason: str) -> RunOutcome:
     """The outcome of a run that failed."""
-    return RunOutcome(run, FAILED, " ".join(reason.split()), np.full(len(study.outputs), NAN))
+    return RunOutcome(run, Status.FAILED, " ".join(reason.split()), np.full(len(study.outputs), NAN))
 
 
 def complete(
@@ -191,7 +191,7 @@ def complete(
     # up to the end of the run, interpolated linearly between recorded points
     times = band_times(study, start, int((time[-1] - time[0]) / study.band_step + 1e-6) + 1)
     bands = [np.interp(times, time, values(name)) for name in study.bands]
-    status, reason = (end.status, end.reason) if end else (OK, "")
+    status, reason = (end.status, end.reason) if end else (Status.OK, "")
     error = max((abs(b.relative) for b in bonds_above(bonds, 0.0)), default=0.0)
     stored = np.stack(bands) if bands else None
     return RunOutcome(run, status, reason, outputs, stored, start, energy_error=error)

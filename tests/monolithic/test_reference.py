@@ -17,11 +17,12 @@ from scipy.integrate import solve_ivp
 from benchmarks import monolithic
 from orchestrator import Coupling, Result, RunFailed, Trace, assemble, reference, run
 from orchestrator.base.errors import Problem
+from orchestrator.engine import refinement
+from orchestrator.engine.refinement import estimated_error
 from orchestrator.engine.result import Card, SignalError
 from orchestrator.fmi.interface import FmuInterface
 from orchestrator.monolithic import reference as solving
-from orchestrator.monolithic import tight
-from orchestrator.monolithic.tight import BOUND, estimated_error, first_step, master, tightened
+from orchestrator.monolithic.reference import BOUND, first_step, master, tightened
 from orchestrator.ssp.system import Component, System
 
 VERSIONS = (2, 3)
@@ -270,7 +271,7 @@ def test_the_best_run_is_taken(monkeypatch, errors, bound, best, tried):
         steps.append(step)
         return outcome(step, 1)
 
-    monkeypatch.setattr(tight, "changes", changes)
+    monkeypatch.setattr(refinement, "changes", changes)
     result = tightened(co_simulated, 0.25, bound, "because")
     assert steps == [0.25 * 0.5**k for k in range(tried)]
     assert compared == [[*h] for h in zip([None, *steps], steps, steps[1:], strict=False)]
@@ -294,7 +295,7 @@ def test_all_runs_together_have_at_most_a_million_steps(monkeypatch, steps, runs
             raise RunFailed(Problem("no solution"), outcome(step, 0))
         return outcome(step, [*steps, 10**6][len(done) - 1])
 
-    monkeypatch.setattr(tight, "changes", lambda *_: (SignalError("y", 1.0, next(errors)),))
+    monkeypatch.setattr(refinement, "changes", lambda *_: (SignalError("y", 1.0, next(errors)),))
     with nullcontext() if steps else pytest.raises(RunFailed, match="no solution"):
         tightened(co_simulated, 1.0, 0.0, "because")
     assert len(done) == runs

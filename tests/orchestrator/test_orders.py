@@ -12,7 +12,8 @@ from kit.shards import thinned
 from scipy.linalg import expm
 
 from orchestrator import assemble, reference, run
-from orchestrator.monolithic.tight import BOUND, estimated_error
+from orchestrator.engine.refinement import estimated_error
+from orchestrator.monolithic.reference import BOUND
 from orchestrator.ssp.coupling import Coupling
 
 FINE, MIDDLE, COARSE = 2e-3, 4e-3, 1.6e-2  # [s]; 0.066 to 0.5 rad of the fast oscillation; then half of it

@@ -10,7 +10,7 @@ import pandas as pd
 from kit.mistakes import table
 from sweep.synthetic import ISHIGAMI, ishigami, results
 
-from orchestrator.lanes.group import FAILED, OK
+from orchestrator.lanes.group import Status
 from orchestrator.studies.analysis.output_samples import without_numbers
 from orchestrator.studies.parameter_study import StudyProgress, summary
 from orchestrator.studies.runs import RunOutcome
@@ -50,7 +50,7 @@ def test_names_are_no_numbers(one: str, other: str, same: bool) -> None:
     assert (without_numbers(pd.Series([one, other])).nunique() == 1) is same
 
 
-def _rows(count: int, status: str = OK) -> list[RunOutcome]:
+def _rows(count: int, status: str = Status.OK) -> list[RunOutcome]:
     return [RunOutcome(n, status, "", np.zeros(1), wall=0.1) for n in range(count)]
 
 
@@ -75,7 +75,7 @@ def test_a_study_that_goes_on_tells_what_failed() -> None:
     show = StudyProgress(stream)
     show(10, 4, ())
     show(10, 5, _rows(1))
-    show(10, 10, _rows(5, FAILED))
+    show(10, 10, _rows(5, Status.FAILED))
     told = stream.getvalue().splitlines()
     assert re.fullmatch(rf"50 %: 5 of 10 runs, {RATE}", told[0])
     assert re.fullmatch(rf"100 %: 10 of 10 runs, {RATE}, 5 failed", told[1])

@@ -9,7 +9,7 @@ from scipy.stats import mannwhitneyu
 
 from orchestrator.base.signals import moves
 from orchestrator.data.table import Array
-from orchestrator.lanes.group import OK
+from orchestrator.lanes.group import Status
 from orchestrator.studies.analysis import morris_sobol, sensitivity
 from orchestrator.studies.analysis.output_samples import OutputSamples, done, samples, without_numbers
 from orchestrator.studies.analysis.results import Analysis, Failure, OutputAnalysis, Sensitivity, Spread
@@ -48,7 +48,7 @@ def spread(values: Array) -> Spread | None:
 
 def failures(results: Results) -> tuple[Failure, ...]:
     """Failed runs by reason, the most frequent first; reasons that differ only in numbers are merged."""
-    failed = results.table[results.table["status"] != OK].sort_values("run")
+    failed = results.table[results.table["status"] != Status.OK].sort_values("run")
     reasons = failed["reason"].fillna("").astype(str).where(lambda r: r != "", "no reason given")
     groups = []
     for _, group in failed.groupby(without_numbers(reasons), sort=True):
@@ -79,7 +79,7 @@ def _missing_factors(results: Results) -> list[str]:
 
 def _where_failed(results: Results) -> list[str]:
     """Notes on factors that differ between failed and other runs, by Mann-Whitney tests."""
-    failed = (results.table["status"] != OK).to_numpy()
+    failed = (results.table["status"] != Status.OK).to_numpy()
     notes: list[str] = []
     enough = min(failed.sum(), (~failed).sum()) >= FEWEST_RUNS
     for factor in results.study.factors if enough else ():

@@ -13,7 +13,7 @@ from scipy.stats import spearmanr
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
-from orchestrator.lanes.group import OK
+from orchestrator.lanes.group import Status
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output
 
@@ -74,13 +74,13 @@ class OutputSamples:
 
 def done(results: Results) -> pd.DataFrame:
     """The runs that finished; others are left out of all statistics and reported with reasons."""
-    return results.table[results.table["status"] == OK]
+    return results.table[results.table["status"] == Status.OK]
 
 
 def samples(results: Results, output: Output) -> OutputSamples:
     """Values of an output; each sample was run in each combination of crossed choices, in the same order."""
     study, runs = results.study, results.table.sort_values("run", kind="stable")
-    values = runs[output.column].where(runs["status"] == OK)
+    values = runs[output.column].where(runs["status"] == Status.OK)
     blocks = [runs.index]
     for choice in study.crossed:
         option = runs[choice.column].astype(str)
