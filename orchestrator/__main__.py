@@ -10,7 +10,6 @@ from contextlib import redirect_stdout, suppress
 from io import StringIO, TextIOWrapper
 from typing import Any, NoReturn, TextIO
 
-from orchestrator.base import processes
 from orchestrator.base.errors import Mistakes, Problem, Stopped, one_line
 from orchestrator.base.extras import extra_of, install
 from orchestrator.base.interrupts import signals_interrupt
@@ -109,7 +108,6 @@ def script() -> NoReturn:
     After an interrupt the process ends at once, after what is registered for its end: a thread of Arrow that
     waits for Python at that moment would abort it (github.com/apache/arrow, issue 34314).
     """
-    processes.is_program = True
     status = main()
     if status == INTERRUPTED:
         atexit._run_exitfuncs()

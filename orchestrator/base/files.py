@@ -249,7 +249,7 @@ def files_in(folder: Path) -> frozenset[tuple[str, int, int]]:
 _unpacked: dict[tuple[int, str, tuple[str, ...]], SharedFolder] = {}
 _checksums: dict[tuple[object, ...], str] = {}  # stamp of a file -> its SHA-256
 MOST_KEPT = 64e6  # bytes of all folders without users
-_processes = [os.getpid()]  # forks end without removing what they keep
+_PROCESS = os.getpid()  # forks end without removing what they keep
 _unpacking = Lock()
 
 # ---- locations ---------------------------------------------------------------------------------------------
@@ -512,11 +512,6 @@ class Location:
         return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
 
 
-def own_folders() -> None:
-    """Keep folders in this process, too: a fork whose parent removes all that it leaves."""
-    _processes.append(os.getpid())
-
-
 def _kept_folder(key: tuple[int, str, tuple[str, ...]]) -> SharedFolder | None:
     """The folder of this archive, now the one used last; one that a run has changed is removed instead."""
     found = _unpacked.pop(key, None)
@@ -539,7 +534,7 @@ def _remove_unused(most: float = MOST_KEPT, last: SharedFolder | None = None) ->
     for key, shared in reversed([*_unpacked.items()]):
         if shared.users or key[0] != process:
             continue
-        if shared is loaded or process not in _processes or shared.size > most:
+        if shared is loaded or process != _PROCESS or shared.size > most:
             _unpacked.pop(key).removal.close()
         else:
             most -= shared.size

@@ -14,7 +14,6 @@ from typing import Any
 from orchestrator.base.errors import Problem
 
 FLOAT64 = 8  # bytes of a number in memory
-is_program = False  # is this process the command line, and not a program that uses the package?
 
 
 def available_cores() -> int:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
-from orchestrator.worker.process import GARBLED, LimitExceeded, Pool, Worker, can_fork, read_file
+from orchestrator.worker.process import GARBLED, LimitExceeded, Pool, Worker, read_file
 
 if TYPE_CHECKING:
     from orchestrator.data.trace_writer import Array, Points, RowLayout, TraceSink
@@ -71,9 +71,8 @@ class RunTask:
 
 
 def start_process() -> None:
-    """Start a process for the next run, if none is idle; a fork of this one begins when it is needed."""
-    if not can_fork():
-        _single.warm()
+    """Start a process for the next run, if none is idle."""
+    _single.warm()
 
 
 def processes() -> Pool:
@@ -92,7 +91,7 @@ def _contents() -> Mapping[str, Any]:
     return types | {"time": float, "closed": bool} | dict.fromkeys(("problem", "failed"), str)
 
 
-_single = Pool(lambda: Worker(TARGET, _contents, "run", forks=True), kept=1)
+_single = Pool(lambda: Worker(TARGET, _contents, "run"), kept=1)
 
 
 def run_isolated(

@@ -6,7 +6,6 @@ of the process.
 """
 
 import ctypes
-import gc
 import locale
 import mmap
 import os
@@ -14,14 +13,11 @@ import pickle
 import signal
 import struct
 import sys
-import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
-from itertools import pairwise
 from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any
@@ -172,35 +168,6 @@ def left_behind(channel: Channel, threads: bool = True) -> tuple[Any, ...]:
         found += [resource.getrlimit(getattr(resource, name)) for name in dir(resource) if "RLIMIT_" in name]
         found += [signal.getitimer(getattr(signal, name)) for name in dir(signal) if "ITIMER_" in name]
     return (*found,)
-
-
-def forked(target: str, folder: Path, environment: Mapping[str, str], descriptors: Sequence[int]) -> None:
-    """Be a worker in a fork of the command line, with what a new process has; does not return.
-
-    Its standard streams, session and working directory are those of the worker already.
-    """
-    from orchestrator.base.files import own_folders
-
-    try:
-        for last, following in pairwise((2, *sorted(descriptors), os.sysconf("SC_OPEN_MAX"))):
-            os.closerange(last + 1, following)
-        for number in signal.valid_signals():
-            if callable(signal.getsignal(number)):
-                signal.signal(number, signal.SIG_DFL)
-        for number in (signal.SIGPIPE, signal.SIGXFSZ):
-            signal.signal(number, signal.SIG_IGN)
-        if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-        own_folders()
-        os.environ.clear()
-        os.environ.update(environment)
-        tempfile.tempdir = None
-        sys.stdin, sys.stdout, sys.stderr = (open(n, "wr"[n == 0], closefd=False) for n in range(3))  # noqa: SIM115
-        gc.freeze()  # objects of the parent must not close files whose numbers are used again
-        gc.enable()
-        main(target, folder)
-    finally:
-        os._exit(1)
 
 
 def main(target: str, folder: Path) -> None:

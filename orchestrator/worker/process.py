@@ -23,13 +23,11 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from itertools import count
 from pathlib import Path
 from queue import Empty, Queue, SimpleQueue
 from typing import Any
 
-from orchestrator.base import processes
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.processes import remove_folder, resident_memory
 from orchestrator.worker.calls import ACTIVITY_SIZE, CALLS_SIZE, OUTSIDE, Activity, activity_in, calls_in
@@ -94,7 +92,6 @@ class Worker:
     environment   environment variables that differ from those of this process
     descriptors   file descriptors that the process inherits (POSIX)
     in_folder     use the temporary folder as working directory, for files that an FMU writes
-    forks         begin as a fork of this process if `can_fork` allows it
 
     reusable      false when an FMU has left something behind in the process
     fmus          names of those in it, for messages that cannot tell which of them it was
@@ -111,12 +108,10 @@ class Worker:
         environment: Mapping[str, str] | None = None,
         descriptors: Sequence[int] = (),
         in_folder: bool = False,
-        forks: bool = False,
     ) -> None:
         with DeferredInterrupts():  # until the finalizer is there, which removes the folder
             self.folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
-            fork = forks and can_fork()
-            self._child = _start(target, self.folder, environment or {}, descriptors, in_folder, fork)
+            self._child = _start(target, self.folder, environment or {}, descriptors, in_folder)
             self.working = self._child.pid  # the process that works: this one, or a fork of it
             _enlarge(self._child.stdout)
             self._messages: Queue[Any] = Queue(MAX_MESSAGES)
@@ -312,32 +307,13 @@ def read_file(path: Path, most: int) -> bytes:
         return b""
 
 
-def can_fork() -> bool:
-    """Does a worker begin as a fork of this process, without a time for imports?
-
-    On Linux, if this is the command line, which has nothing that must not be in two processes, and if it has
-    no thread that might hold a lock.
-    """
-    return sys.platform == "linux" and processes.is_program and threading.active_count() == 1
-
-
 def _start(
-    target: str,
-    folder: Path,
-    environment: Mapping[str, str],
-    descriptors: Sequence[int],
-    in_folder: bool,
-    fork: bool,
+    target: str, folder: Path, environment: Mapping[str, str], descriptors: Sequence[int], in_folder: bool
 ) -> subprocess.Popen[bytes]:
-    """Start a process: a fork of this one, or a new one that imports what it needs."""
+    """Start a new Python process, without a fork of this one."""
     temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))  # removed with what FMUs leave there
     roots = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
     variables = {**os.environ, **temporary, "PYTHONPATH": os.pathsep.join(roots), **environment}
-    begin = None
-    if fork:
-        from orchestrator.worker.main import forked
-
-        begin = partial(forked, target, folder, variables, descriptors)  # the new program never begins
     with (folder / "errors").open("ab") as errors:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "orchestrator.worker.main", target, str(folder)],
@@ -348,7 +324,6 @@ def _start(
             env=variables,
             cwd=folder if in_folder else None,
             pass_fds=descriptors,
-            preexec_fn=begin,
             **SESSION_OPTIONS,
         )
 

@@ -3,11 +3,8 @@
 import ctypes
 import os
 import pickle
-import signal
 import sys
-import tempfile
 import time
-from pathlib import Path
 
 
 def echo(channel):
@@ -36,16 +33,6 @@ def end(channel):
         raise ValueError("expected another one")
     elif isinstance(how, int):
         os._exit(how)
-
-
-def circumstances(channel):
-    """Its temporary folder, a variable, whether SIGTERM ends it, whether a file is closed, its stderr."""
-    path, descriptors = channel.get(), Path("/proc/self/fd")
-    links = [os.readlink(d) for d in descriptors.iterdir() if d.is_symlink()] if descriptors.is_dir() else []
-    default = signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
-    print("here", file=sys.stderr, flush=True)
-    channel.put("echo", [tempfile.gettempdir(), os.environ["OF_WORKER"], default, path not in links])
-    channel.ended.wait()
 
 
 def graceful(channel):

@@ -34,37 +34,20 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked
 def jobs(monkeypatch):
     """The functions of jobs.py can be found by a worker."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
-    monkeypatch.syspath_prepend(Path(__file__).parent)
 
 
-@pytest.fixture(params=["new", pytest.param("fork", marks=linux)])
-def start(request, monkeypatch):
-    """Workers that are closed at the end of a test: new programs, or forks as those of the command line."""
-    monkeypatch.setattr("orchestrator.worker.process.can_fork", lambda: True)
+@pytest.fixture
+def start():
+    """Workers that are closed at the end of a test."""
     workers = []
 
     def started(target, *arguments, **options):
-        forks = request.param == "fork"
-        workers.append(Worker(f"jobs:{target}", lambda: CONTENTS, *arguments, forks=forks, **options))
+        workers.append(Worker(f"jobs:{target}", lambda: CONTENTS, *arguments, **options))
         return workers[-1]
 
     yield started
     for worker in workers:
         worker.close()
-
-
-def test_nothing_of_the_parent_is_in_it(start, tmp_path):
-    """It has its own temporary folder, the handlers of a new program, and no other file than its own."""
-    with (tmp_path / "open").open("w") as file:
-        previous = signal.signal(signal.SIGTERM, lambda *_: None)
-        try:
-            worker = start("circumstances", environment={"OF_WORKER": "1"})
-            worker.put(file.name)
-            _, found = worker.get(LONG)
-        finally:
-            signal.signal(signal.SIGTERM, previous)
-    assert found == [str(worker.folder), "1", True, True]
-    assert worker.printed == ["here"]
 
 
 def test_messages_go_there_and_back(start):
