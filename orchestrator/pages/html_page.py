@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,12 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from orchestrator.base.files import write_whole
-from orchestrator.base.text import grouped, jinja_environment, number, typeset
+from orchestrator.base.text import TextTable, grouped, jinja_environment, number, typeset
 from orchestrator.base.units import pretty
 from orchestrator.pages.figures import plot_scripts
 
 TEMPLATES = Path(__file__).with_name("templates")
+QUANTITY = re.compile(r"(?<![\w.])(-?\d[\d.e+-]*) ([A-Za-z][\w./]*)")  # a number and its unit
 
 
 def render(template: Path, *, title: str, plots: bool = False, **content: object) -> str:
@@ -35,10 +36,11 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     environment = jinja_environment(template.parent, TEMPLATES, escaped=True)
     environment.filters.update(
         number=lambda value, digits=3: typeset(number(value, digits)),
-        typeset=lambda text: Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(typeset(text))))),
+        typeset=typeset_code,
         pretty=pretty,
         breakable=lambda name: Markup(re.sub(r"([._])(?=\w)", r"\1<wbr>", str(escape(name)))),
-        upper_first=lambda text: f"{text[:1].upper()}{text[1:]}",
+        upper_first=upper_first,
+        sentence=sentence,
         groupby_order=lambda rows, name: grouped(rows, attrgetter(name)).items(),
     )
     styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
@@ -46,6 +48,34 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     scripts = plot_scripts() if plots else ""
     page = environment.get_template(template.name)
     return str(page.render(title=title, style=style, plots=scripts, **content))
+
+
+def typeset_code(text: str) -> Markup:
+    """A text with numbers as on paper, and what is between backticks as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(typeset(text)))))
+
+
+def upper_first(text: str) -> str:
+    """The text with a capital."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def sentence(text: str) -> Markup:
+    """The text as a sentence of a page; markup as it is."""
+    if isinstance(text, Markup):
+        return text
+    return typeset_code(upper_first(text) + ("" if text.endswith((".", "!", "?", ":")) else "."))
+
+
+def typeset_table(table: TextTable) -> TextTable:
+    """The table with numbers and units as on paper: 1.7e-05 m3 is 1.7·10⁻⁵ m³."""
+
+    def cell(text: str) -> str:
+        if isinstance(text, Markup):
+            return text
+        return typeset(re.sub(QUANTITY, lambda m: f"{m[1]} {pretty(m[2])}", text))
+
+    return replace(table, rows=[[cell(text) for text in row] for row in table.rows])
 
 
 def write_text(path: Path, text: str) -> Path:
