@@ -38,7 +38,7 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
         number=lambda value, digits=3: typeset(number(value, digits)),
         typeset=typeset_code,
         pretty=pretty,
-        breakable=lambda name: Markup(re.sub(r"([._])(?=\w)", r"\1<wbr>", str(escape(name)))),
+        breakable=breakable,
         upper_first=upper_first,
         sentence=sentence,
         groupby_order=lambda rows, name: grouped(rows, attrgetter(name)).items(),
@@ -53,6 +53,11 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
 def typeset_code(text: str) -> Markup:
     """A text with numbers as on paper, and what is between backticks as code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(typeset(text)))))
+
+
+def breakable(name: str) -> Markup:
+    """A name that may break after its dots and underscores."""
+    return Markup(re.sub(r"([._])(?=\w)", r"\1<wbr>", str(escape(name))))
 
 
 def upper_first(text: str) -> str:

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
-from orchestrator.base.text import TextTable
+from orchestrator.base.text import DASH, TextTable, number, typeset
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import TraceFigure, plot
 
@@ -32,6 +32,9 @@ class Text:
     lines: Sequence[str]
     kind: str = ""
     only: str = ""
+
+    def __bool__(self) -> bool:
+        return bool(self.lines)
 
     def text(self) -> str:
         """For a terminal."""
@@ -50,6 +53,9 @@ class Table:
     table: TextTable
     below: Sequence[str] = ()
     only: str = ""
+
+    def __bool__(self) -> bool:
+        return bool(self.table.rows or self.below)
 
     def text(self) -> str:
         """For a terminal."""
@@ -82,14 +88,42 @@ class Figure:
 
 @dataclass(frozen=True)
 class Machine:
-    """The machine that replays a run, or other markup; on pages only."""
+    """The machine that replays a run and can be driven; on pages only."""
 
     markup: Markup
     only: str = PAGE
 
+    def __bool__(self) -> bool:
+        return bool(self.markup)
+
     def html(self) -> Markup:
         """As it is."""
-        return self.markup
+        return Markup('<div id="motion">{}</div>').format(self.markup)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names with values, which may be mappings of names to values; on pages only."""
+
+    values: Mapping[str, Any]
+    only: str = PAGE
+
+    def __bool__(self) -> bool:
+        return bool(self.values)
+
+    def html(self) -> Markup:
+        """A table of two columns."""
+        row = Markup("<tr><th>{}</th><td>{}</td></tr>")
+        rows = (row.format(name.replace("_", " "), _fact(value)) for name, value in self.values.items())
+        return Markup('<table class="facts">{}</table>').format(Markup("\n").join(rows))
+
+
+def _fact(value: Any) -> Markup:
+    if isinstance(value, Mapping):
+        return Markup("<br>").join(Markup("{}: {}").format(name, _fact(v)) for name, v in value.items())
+    if isinstance(value, bool) or value is None:
+        return escape({True: "yes", False: "no", None: DASH}[value])
+    return escape(typeset(number(value, 6)) if isinstance(value, float) else value)
 
 
 @dataclass(frozen=True)
@@ -99,28 +133,37 @@ class Section:
     title: str
     parts: Sequence[Part]
     folded: bool = False
-    only: str = ""
-    link: str = ""
+    only: str = PAGE
+
+    def __bool__(self) -> bool:
+        return any(self.parts)
 
     @property
     def id(self) -> str:
         """Its address in the page."""
-        return self.link or "".join(c if c.isalnum() else "-" for c in self.title.lower())
+        return "".join(c if c.isalnum() else "-" for c in self.title.partition(" (")[0].lower())
 
     def text(self) -> str:
         """For a terminal, without the heading."""
         return _joined(self.parts)
 
     def html(self) -> Markup:
-        """The parts."""
-        return Markup("\n").join(part.html() for part in self.parts if part.only != TERMINAL)
+        """The parts; those that are sections have a heading of the next level."""
+        heading = Markup("<h3>{}</h3>")
+        return Markup("\n").join(
+            (heading.format(part.title) if isinstance(part, Section) else "") + part.html()
+            for part in self.parts
+            if part and part.only != TERMINAL
+        )
 
 
-Part: TypeAlias = Text | Table | Figure | Machine | Section
+Part: TypeAlias = Text | Table | Figure | Machine | Facts | Section
 
 
 def _joined(parts: Sequence[Part]) -> str:
-    shown = (part.text() for part in parts if part.only != PAGE and not isinstance(part, Figure | Machine))
+    shown = (
+        part.text() for part in parts if part.only != PAGE and not isinstance(part, Figure | Machine | Facts)
+    )
     return "\n\n".join(text for text in shown if text)
 
 
@@ -129,7 +172,8 @@ class Report:
     """What a command found.
 
     verdict   the answer in a sentence, the last line in a terminal and the first one of a page
-    parts     what else it tells; a page has a section for each `Section`, and the others in its head
+    parts     what else it tells, those that are empty are left out; a page has a section for each `Section`,
+              and the others in its head
     data      for programs, besides title, verdict and passed
     passed    whether all is within its limits; None: there are none
     lead      short paragraphs of a page below the verdict
@@ -148,7 +192,7 @@ class Report:
 
     def html(self) -> str:
         """The page, one file without requests."""
-        shown = [part for part in self.parts if part.only != TERMINAL]
+        shown = [part for part in self.parts if part and part.only != TERMINAL]
         sections = [part for part in shown if isinstance(part, Section)]
         first = [part for part in shown if not isinstance(part, Section)]
         state = {True: ("pass", "✓ pass"), False: ("fail", "✗ fail"), None: ("", "")}[self.passed]

@@ -23,11 +23,10 @@ from orchestrator.data.trace import Trace
 from orchestrator.pages import figures
 from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, pack, plot
 from orchestrator.results.comparison import compare
-from orchestrator.results.comparison_report import render as comparison
+from orchestrator.results.comparison_report import report as comparison
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.validation import validate
-from orchestrator.results.validation_report import Report
-from orchestrator.results.validation_report import render as report
+from orchestrator.results.validation_report import validation_report
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.report.study_page import render as study
 
@@ -56,7 +55,7 @@ def validated() -> str:
     panels = PanelSpec("Angle", ("arm.angle",)), PanelSpec("Pressure", ("pump.pressure",), ("head",))
     spec = FigureSpec("Arm", panels)
     checked = validate(run(0.01), reference, rate=False)
-    return report(Report("Arm", checked, (spec,), run(0.01), {"step [s]": 0.001}))
+    return validation_report("Arm", checked, (spec,), run(0.01), {"step [s]": 0.001}).html()
 
 
 def studied() -> str:
@@ -73,7 +72,9 @@ def identified() -> str:
 
 PAGES: dict[str, Callable[[], str]] = {
     "report": validated,
-    "comparison": lambda: comparison(compare({"usual": run(0.0), "other": run(0.01), "third": run(0.02)})),
+    "comparison": lambda: comparison(
+        compare({"usual": run(0.0), "other": run(0.01), "third": run(0.02)})
+    ).html(),
     "study": studied,
     "identification": identified,
 }
