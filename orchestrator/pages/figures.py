@@ -151,6 +151,7 @@ class TracePanel:
     unit         of the curves
     error_unit   of the errors
     bounds       limits of the errors: symmetric bands, drawn if they are inside the axes
+    whole        the axes of the errors reach to their limits, however small the errors are
     remarks      (text, colour) on the right of the panel
     key_beside   legend on the right of the panel, not above it; pages have it above in any case
     heights      of panel and error strip, in units of `ROW_HEIGHT`
@@ -164,6 +165,7 @@ class TracePanel:
     error_label: str = "error"
     error_unit: str = ""
     bounds: Collection[float] = ()
+    whole: bool = False
     remarks: Sequence[tuple[str, str]] = ()
     heights: tuple[float, float] = (2.5, 1.0)
     areas: Sequence[TraceArea] = ()
@@ -304,6 +306,7 @@ def _spec(figure: TraceFigure) -> dict[str, Any]:
         columns += values
         if chart.strip:
             entry |= {"strip": 1, "bounds": [float(f"{b:.6g}") for b in sorted(chart.panel.bounds)]}
+            entry |= {"whole": 1} if chart.panel.whole else {}
         elif chart.panel.remarks:
             remarks = [(typeset(text).replace("\n", ", "), _name(c)) for text, c in chart.panel.remarks]
             entry["remarks"] = remarks

@@ -72,18 +72,22 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """Signals over time, or a figure as markup; on pages only."""
+    """Signals over time, or a figure as markup; on pages only. heading: above it, of those in the head."""
 
     figure: TraceFigure | Markup
     name: str
     caption: str = ""
+    heading: str = ""
     only: str = PAGE
 
     def html(self) -> Markup:
         """The figure with its caption."""
         drawn = self.figure if isinstance(self.figure, Markup) else plot(self.figure, self.name)
         caption = Markup("<figcaption>{}</figcaption>").format(self.caption) if self.caption else Markup()
-        return Markup("<figure>{}{}</figure>").format(drawn, caption)
+        heading = (
+            Markup("<h2>{}</h2>").format(html_page.breakable(self.heading)) if self.heading else Markup()
+        )
+        return heading + Markup("<figure>{}{}</figure>").format(drawn, caption)
 
 
 @dataclass(frozen=True)

@@ -164,18 +164,27 @@ def _data(row: ValidatedSignal) -> dict[str, Any]:
 
 
 def _worst(validation: Validation, trace: Trace | None) -> list[Figure]:
-    """The signal with the largest use of its limit, else with the largest NRMSE, beside its limit."""
+    """The signal with the largest use of its limit, else with the largest NRMSE, beside its limit.
+
+    A signal that is not listed is only shown if it fails.
+    """
     rows = validation.judged or validation.rows
+    rows = validation.failed or tuple(row for row in rows if row.listed) or rows
     if not rows:
         return []
     row = max(rows, key=lambda row: (row.limit_use, row.metrics.nrmse or 0.0))
-    panel = PanelSpec(row.title, (row.signal,))
-    figure = traces(FigureSpec("", (panel,)), validation, trace)
-    figure = replace(figure, panels=[replace(figure.panels[0], remarks=(), heights=(4.0, 2.0))])
-    use = f": {limit_share(row.limit_use)} of its limit" if row.tolerance else ""
-    value = f", {judged_text(row, row.judged_value)}; {limit_text(row)}" if row.tolerance else ""
-    band = " Green: within the limit." if figure.panels[0].bounds else ""
-    return [Figure(figure, "Worst signal", typeset(f"Worst signal, {row.title}{use}{value}.{band}"))]
+    figure = traces(FigureSpec("", (PanelSpec("", (row.signal,)),)), validation, trace)
+    panel = replace(figure.panels[0], remarks=(), heights=(4.0, 2.2), whole=True)
+    if row.tolerance is None:
+        caption = f"NRMSE {percentage(row.metrics.nrmse)}; no limit."
+    else:
+        limits = f"{judged_text(row, row.judged_value)}; limit: {limit_text(row)}"
+        band = " Green: errors within the limit." if panel.bounds else ""
+        caption = (
+            f"Uses {limit_share(row.limit_use)} of its limit. {NAMES[row.tolerance.metric]}: {limits}.{band}"
+        )
+    heading = f"Worst signal: {row.title}"
+    return [Figure(replace(figure, panels=[panel]), "Worst signal", typeset(caption), heading)]
 
 
 def _use_of_limits(validation: Validation) -> TextTable:

@@ -187,7 +187,8 @@
     limits(chart, low, high) {
       if (low === null || !Number.isFinite(low)) return [-1, 1];
       const margin = MARGIN * (high - low) || 0.1 * Math.abs(high) || 1;
-      const end = Math.max(Math.abs(low), Math.abs(high)) + margin;
+      const largest = chart.whole ? 1.2 * Math.max(0, ...chart.bounds) : 0;
+      const end = Math.max(Math.abs(low) + margin, Math.abs(high) + margin, largest);
       return chart.strip ? [-end, end] : [low - margin, high + margin];
     }
 
