@@ -272,7 +272,7 @@ def test_a_plot_is_zoomed_by_the_mouse(files: Callable[[str], str], opened: Call
 
 
 def test_paper_has_the_plots(files: Callable[[str], str], opened: Callable[..., Any]) -> None:
-    """Printed from a dark screen no curve or label is light, and nothing that only a screen can use is there."""
+    """Printed from a dark screen nothing is light, and what only a screen can use is not there."""
     page = opened(files("report"), "dark")
     drawn(page)
     light = """() => { const c = document.querySelector('.live canvas'), data = c.getContext('2d')
