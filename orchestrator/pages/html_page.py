@@ -66,10 +66,10 @@ def upper_first(text: str) -> str:
 
 
 def sentence(text: str) -> Markup:
-    """The text as a sentence of a page; markup as it is."""
+    """The text as a sentence of a page; markup, and what ends as a sentence, as it is."""
     if isinstance(text, Markup):
         return text
-    return typeset_code(upper_first(text) + ("" if text.endswith((".", "!", "?", ":")) else "."))
+    return typeset_code(text if text.endswith((".", "!", "?", ":")) else f"{upper_first(text)}.")
 
 
 def typeset_table(table: TextTable) -> TextTable:

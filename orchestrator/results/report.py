@@ -91,6 +91,22 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class Columns:
+    """Figures beside each other where the page is wide enough; on pages only."""
+
+    figures: Sequence[Figure]
+    only: str = PAGE
+
+    def __bool__(self) -> bool:
+        return bool(self.figures)
+
+    def html(self) -> Markup:
+        """All of them."""
+        inside = Markup().join(Markup("<div>{}</div>").format(figure.html()) for figure in self.figures)
+        return Markup('<div class="figures">{}</div>').format(inside)
+
+
+@dataclass(frozen=True)
 class Machine:
     """The machine that replays a run and can be driven; on pages only."""
 
@@ -152,22 +168,22 @@ class Section:
         return _joined(self.parts)
 
     def html(self) -> Markup:
-        """The parts; those that are sections have a heading of the next level."""
-        heading = Markup("<h3>{}</h3>")
+        """The parts; those that are sections have a heading of the next level, or are folded."""
+        folded = Markup("<details><summary>{}</summary>{}</details>")
+        inner = {True: folded, False: Markup("<h3>{}</h3>{}")}
         return Markup("\n").join(
-            (heading.format(part.title) if isinstance(part, Section) else "") + part.html()
+            inner[part.folded].format(part.title, part.html()) if isinstance(part, Section) else part.html()
             for part in self.parts
             if part and part.only != TERMINAL
         )
 
 
-Part: TypeAlias = Text | Table | Figure | Machine | Facts | Section
+Part: TypeAlias = Text | Table | Figure | Columns | Machine | Facts | Section
 
 
 def _joined(parts: Sequence[Part]) -> str:
-    shown = (
-        part.text() for part in parts if part.only != PAGE and not isinstance(part, Figure | Machine | Facts)
-    )
+    texts = (part for part in parts if isinstance(part, Text | Table | Section) and part.only != PAGE)
+    shown = (part.text() for part in texts)
     return "\n\n".join(text for text in shown if text)
 
 

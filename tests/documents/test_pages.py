@@ -28,7 +28,7 @@ from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.validation import validate
 from orchestrator.results.validation_report import validation_report
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.report.study_page import render as study
+from orchestrator.studies.report.study_page import study_report
 
 pytestmark = shards.browser
 
@@ -61,7 +61,7 @@ def validated() -> str:
 def studied() -> str:
     """A study with bands over time."""
     found = results(ishigami, ISHIGAMI, "saltelli", 32)
-    return study(found, analyse(found))
+    return study_report(found, analyse(found)).html()
 
 
 def identified() -> str:
