@@ -192,7 +192,7 @@ class Diagnosis:
 
     def text(self) -> str:
         """For a terminal."""
-        return self.report().text().rpartition("\n\n")[0]
+        return self.report().text(verdict=False)
 
 
 def _told(f: Finding) -> Text:

@@ -206,9 +206,9 @@ class Report:
     passed: bool | None = None
     lead: Sequence[str] = ()
 
-    def text(self) -> str:
-        """For a terminal; the verdict is the last line."""
-        return "\n\n".join(filter(None, (_joined(self.parts), self.verdict)))
+    def text(self, verdict: bool = True) -> str:
+        """For a terminal; the verdict is the last line, unless the parts contain it."""
+        return "\n\n".join(filter(None, (_joined(self.parts), self.verdict if verdict else "")))
 
     def html(self) -> str:
         """The page, one file without requests."""
