@@ -7,7 +7,6 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from orchestrator.base.files import write_whole
-from orchestrator.base.text import TextTable, grouped, jinja_environment, number, typeset
+from orchestrator.base.text import TextTable, jinja_environment, typeset
 from orchestrator.base.units import pretty
 from orchestrator.pages.figures import plot_scripts
 
@@ -30,18 +29,15 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     plots      whether the page has figures of `orchestrator.pages.figures.plot`
     content    variables of the template, besides `title` and `style`
 
-    Templates can use the macros of `parts.html.j2`, and the filters number, typeset, pretty (units),
-    upper_first, groupby_order and breakable (a name, which may break after its dots and underscores).
+    Templates can use the macros of `parts.html.j2`, and the filters typeset, upper_first, sentence and
+    breakable.
     """
     environment = jinja_environment(template.parent, TEMPLATES, escaped=True)
     environment.filters.update(
-        number=lambda value, digits=3: typeset(number(value, digits)),
         typeset=typeset_code,
-        pretty=pretty,
         breakable=breakable,
         upper_first=upper_first,
         sentence=sentence,
-        groupby_order=lambda rows, name: grouped(rows, attrgetter(name)).items(),
     )
     styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
     style = Markup("\n".join(path.read_text(encoding="utf-8") for path in styles if path.is_file()))
