@@ -17,14 +17,13 @@ from pathlib import Path
 
 from orchestrator.cli.studies import print_convergence
 from orchestrator.pages.plotting import png
-from orchestrator.studies.convergence.convergence_study import (
+from orchestrator.studies.convergence.convergence_report import (
     adaptive_table,
-    convergence,
+    draw,
     error_table,
     maximum_table,
 )
-from orchestrator.studies.convergence.figures import draw_error
-from orchestrator.studies.convergence.runs import ConvergenceStudy
+from orchestrator.studies.convergence.convergence_study import ConvergenceStudy, convergence
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"
@@ -48,11 +47,12 @@ def main() -> None:
 
 def peers() -> None:
     """Figure and table of all tools."""
-    from benchmarks.peers.figure import draw, equal_table, read_csv
+    from benchmarks.peers.figure import draw as draw_peers
+    from benchmarks.peers.figure import equal_table, read_csv
 
     shutil.copyfile(PEERS, NUMBERS)
     rows = read_csv(NUMBERS)
-    draw(rows, IMAGES / "error-and-cost.png")
+    draw_peers(rows, IMAGES / "error-and-cost.png")
     fill(PAGE, "equal error", equal_table(rows))
 
 
@@ -85,7 +85,7 @@ def studies() -> None:
 
 def picture(name: str, study: ConvergenceStudy) -> None:
     """Error over step."""
-    IMAGES.joinpath(f"convergence-{name}.png").write_bytes(png(draw_error(study), DPI))
+    IMAGES.joinpath(f"convergence-{name}.png").write_bytes(png(draw(study), DPI))
 
 
 def fill(document: Path, name: str, table: str) -> None:

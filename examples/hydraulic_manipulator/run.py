@@ -23,8 +23,8 @@ from rich.table import Table
 
 from orchestrator import Problem, Result, Trace, read_trace, run, write_trace
 from orchestrator.data.recording import Recording, read_recording
-from orchestrator.results.summary import Summary
 from orchestrator.results.validation import Validation, validate
+from orchestrator.results.validation_report import summary
 
 HERE = Path(__file__).resolve().parent
 M1 = HERE / "m1.csv"
@@ -93,7 +93,7 @@ def main() -> int:
     console.print(outcome.result.card.text(), "")
     console.print(errors(outcome), "")
     if outcome.validation:
-        console.print(Summary(outcome.validation), "")
+        print(f"{summary(outcome.validation)}\n")
     picture = draw(outcome.result.trace, outcome.truth, outcome.reference, given.out / "result.png")
     trace = write_trace(outcome.result.trace, given.out / "result.csv")
     console.print(f"wrote {system}, {trace} and {picture}", soft_wrap=True)

@@ -11,16 +11,21 @@ from pathlib import Path
 import numpy as np
 from figure import draw_steps
 from machine import RATES, build, solve
-from rich.console import Console
 from run import M1, REFERENCE
 
 from orchestrator import load, read_trace, run
 from orchestrator.cli.studies import print_convergence
 from orchestrator.data.recording import read_recording
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.studies.convergence.convergence_study import maximum_table, with_progress
-from orchestrator.studies.convergence.reference_solution import ReferenceSolution, from_run
-from orchestrator.studies.convergence.runs import SETTINGS, ConvergenceStudy, Setting, run_settings
+from orchestrator.studies.convergence.convergence_report import maximum_table
+from orchestrator.studies.convergence.convergence_study import (
+    SETTINGS,
+    ConvergenceStudy,
+    Reference,
+    Setting,
+    from_run,
+    run_settings,
+)
 
 FOLDER = Path("build/hydraulic_manipulator")
 STEPS = (0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3, 20e-3, 40e-3, 100e-3)  # [s]
@@ -38,7 +43,7 @@ PUBLISHED = {
 }
 
 
-def ode_solution() -> ReferenceSolution:
+def ode_solution() -> Reference:
     """The joined ODE at every millisecond."""
     return from_run("the joined ODE", solve(read_trace(M1), np.linspace(0, 10, 10001)).select(SIGNALS))
 
@@ -52,8 +57,7 @@ def manipulator(
     """All masters at all steps."""
     solution = ode_solution()
     runs = run_settings(load(system), solution, settings, steps, repeats, RATE_INPUTS, scenario=M1)
-    total = sum(len(s.cases) or len(steps) for s in settings)
-    return ConvergenceStudy(solution, tuple(with_progress(runs, total)))
+    return ConvergenceStudy(solution, tuple(runs))
 
 
 def beside_the_published(systems: dict[str, Path], path: Path) -> Path:
@@ -71,7 +75,7 @@ def main() -> None:
     """Print the tables, write numbers and pictures."""
     systems = build(FOLDER)
     study = manipulator(systems["rates"])
-    maximum_table(study, "position").print(Console())
+    print("\n".join(maximum_table(study, "position").lines()))
     print_convergence(study, FOLDER)
     print(beside_the_published(systems, FOLDER / "steps.png"))
 

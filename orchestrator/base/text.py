@@ -14,14 +14,11 @@ from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from markupsafe import Markup, escape
 
 from orchestrator.base.units import factor_and_offset, pretty, reader_unit, superscript
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 Key = TypeVar("Key")
 Item = TypeVar("Item")
@@ -185,22 +182,6 @@ class TextTable:
         for i, (cell, width) in enumerate(zip(row, widths, strict=True)):
             yield cell.ljust(width) if i in self.left else cell.rjust(width)
 
-    def print(self, console: Console) -> None:
-        """Print the table with its title above; a narrow terminal wraps lines, no cell is truncated."""
-        from rich.box import SIMPLE_HEAD
-        from rich.measure import Measurement
-        from rich.table import Table as RichTable
-        from rich.text import Text
-
-        table = RichTable(box=SIMPLE_HEAD)
-        for i, heading in enumerate(self.head):
-            table.add_column(Text(heading), justify="left" if i in self.left else "right", no_wrap=True)
-        for row in self.rows:
-            table.add_row(*(Text(cell, "red" if cell in self.strong else "") for cell in row))
-        widest = Measurement.get(console, console.options.update(max_width=400), table).maximum
-        console.width = max(console.width, widest)
-        console.print(Text(self.title, "bold"), table, sep="\n")
-
     def markdown(self) -> str:
         """The table in Markdown."""
         bold = [[f"**{c}**" if c in self.strong else c for c in row] for row in (self.head, *self.rows)]
@@ -209,10 +190,19 @@ class TextTable:
         return "\n".join([lines[0], rule, *lines[1:]])
 
     def html(self) -> Markup:
-        """The table in HTML; cells are escaped unless they are markup. A wide table can be scrolled."""
-        rows = [Markup("").join(self._cells("th", self.head))]
-        rows += [Markup("").join(self._cells("td", row)) for row in self.rows]
-        body = Markup("\n").join(Markup("<tr>{}</tr>").format(row) for row in rows)
+        """The table in HTML; cells are escaped unless they are markup. A wide table can be scrolled.
+
+        A row of one cell is the heading of a group.
+        """
+        group = Markup('<tr class="group"><th colspan="{}" scope="rowgroup">{}</th></tr>')
+        rows = [Markup("<tr>{}</tr>").format(Markup("").join(self._cells("th", self.head)))]
+        rows += [
+            group.format(len(self.head), row[0])
+            if len(row) == 1 < len(self.head)
+            else Markup("<tr>{}</tr>").format(Markup("").join(self._cells("td", row)))
+            for row in self.rows
+        ]
+        body = Markup("\n").join(rows)
         name = self.title or self.head[0] or "numbers"
         opening = Markup('<div class="wide" tabindex="0" role="group" aria-label="{}, table">').format(name)
         return opening + Markup("<table>\n{}\n</table></div>").format(body)

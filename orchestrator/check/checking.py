@@ -7,7 +7,6 @@ from pathlib import Path
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import FMUS, require
 from orchestrator.check.finding import Finding
-from orchestrator.check.ls_ref import EXPERIMENT
 from orchestrator.check.probe_process import probe_threads
 from orchestrator.check.probes import PROBES
 from orchestrator.check.report import ANY, TOOLS, CheckReport
@@ -18,7 +17,7 @@ from orchestrator.check.subject import Subject, open_subject
 from orchestrator.fmi.description import INTERFACES
 
 DEFECT = "check.defect"
-RULES: tuple[CheckRule, ...] = (*STATIC, *PROBES, EXPERIMENT)  # in the order in which they are applied
+RULES: tuple[CheckRule, ...] = (*STATIC, *PROBES)  # in the order in which they are applied
 RULES_1 = ("archive.", "xml.syntax", "version.known")  # those that apply to FMI 1.0
 
 

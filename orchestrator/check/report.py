@@ -1,14 +1,14 @@
 """Report of a check as text and as JSON, with the verdicts of each tool on the rules (tools.toml)."""
 
-import json
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 from orchestrator.check.finding import SEVERITIES, Finding, Severity
 from orchestrator.check.rule import CheckRule
+from orchestrator.results.report import Report, Text
 
 
 @dataclass(frozen=True)
@@ -73,16 +73,23 @@ class CheckReport:
     def failed(self) -> bool:
         return self.count("error") > 0
 
-    def text(self) -> str:
+    def report(self) -> Report:
         """One line for each finding, grouped by severity; the counts are those of rules."""
         lines = [f"{self.path}: {self.title}"]
-        if self.tool != ANY:
-            tool = TOOLS[self.tool]
-            lines.append(f"for {tool.name}, judged {tool.basis}")
-        for severity in SEVERITIES:
-            findings = [f for f in self.findings if f.severity == severity]
-            lines += ["", f"{severity}s", *self._lines(findings)] if findings else []
-        return "\n".join([*lines, "", self.summary()])
+        lines += [f"for {TOOLS[self.tool].name}, judged {TOOLS[self.tool].basis}"] if self.tool != ANY else []
+        groups = {s: [f for f in self.findings if f.severity == s] for s in SEVERITIES}
+        parts = [Text([f"{s}s", *self._lines(found)]) for s, found in groups.items() if found]
+        data = {
+            "file": self.path,
+            "tool": self.tool,
+            "counts": {s: self.count(s) for s in SEVERITIES},
+            "findings": self.findings,
+        }
+        return Report(self.title, self.summary(), [Text(lines), *parts], data, not self.failed)
+
+    def text(self) -> str:
+        """For a terminal."""
+        return self.report().text()
 
     def summary(self) -> str:
         """The counts in one line."""
@@ -110,17 +117,6 @@ class CheckReport:
         tools = [t.name for t in affected_tools(f.rule)] if self.tool == ANY else []
         label = f"{', '.join(tools)}:" if tools else "see"
         return f" [{label} {f.thread}]" if f.thread else ""
-
-    def json(self) -> str:
-        """The report for programs."""
-        data = {
-            "file": str(self.path),
-            "title": self.title,
-            "tool": self.tool,
-            "counts": {s: self.count(s) for s in SEVERITIES},
-            "findings": [asdict(f) for f in self.findings],
-        }
-        return json.dumps(data, indent=1)
 
 
 def _rank(f: Finding) -> int:

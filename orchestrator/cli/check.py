@@ -48,5 +48,5 @@ def check(
         report = run_check(fmu, for_, run=not static)
     print(report.text())
     if json:
-        write_whole(json, report.json())
+        write_whole(json, report.report().json())
     return not report.failed

@@ -33,11 +33,11 @@ def diagnose(
     parameters   Parameter sets (.ssv), such as what was learned of the healthy machine.
     learn        The recording is of the healthy machine, without payload: write what was learned to this
                  file (.ssv).
-    out          Folder of diagnosis.html.
+    out          Folder of diagnosis.html and .json.
     """
     from orchestrator.base.files import make_folder, require, write_whole
     from orchestrator.results.diagnosis import diagnose as diagnosed
-    from orchestrator.results.diagnosis import learned, learned_values, report
+    from orchestrator.results.diagnosis import learned, learned_values
 
     if fmu == DEFAULT and not fmu.exists():
         raise Problem(
@@ -51,5 +51,6 @@ def diagnose(
         print(f"{learn}: {len(learned_values(found))} values of the healthy machine")
         return 0
     print(found.text())
-    print(f"Report: {report(found, out / 'diagnosis.html')}")
+    page, numbers = found.report().write(out / "diagnosis.html")
+    print(f"Report: {page}, {numbers}")
     return 1 if found.broken else 0 if found.is_known else NOT_KNOWN

@@ -46,11 +46,8 @@ def validate(
                  the run, in addition to the commands, such as '*.supply_pressure'; default: none.
     out          Folder of run.csv and the report.
     """
-    from rich.console import Console
-
     from fmus.package_files import data
     from orchestrator.base.files import DEFAULT_SYSTEM
-    from orchestrator.results.summary import Summary
     from orchestrator.results.validate_system import Experiment, validate_system
 
     file = system_file(system)
@@ -70,8 +67,7 @@ def validate(
     validation, text = validate_system(
         experiment, out, default_accuracy=DEFAULT_ACCURACY["validate"], report=told
     )
-    Console().print(Summary(validation))
-    print(f"\n{text}")
+    print(text)
     return validation.passed
 
 

@@ -13,7 +13,7 @@ from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, comm
 from orchestrator.engine.arguments import CaseArguments
 
 if TYPE_CHECKING:
-    from orchestrator.studies.convergence.runs import ConvergenceStudy
+    from orchestrator.studies.convergence.convergence_study import ConvergenceStudy
 
 
 @command
@@ -49,21 +49,15 @@ def convergence(
 
     file, work_cycle = system_file(system), data("reference/work_cycle.csv")
     tell_built(file, {})
-    show = print_convergence
-    study(file, reference, out, steps, masters, signals or (), repeats, work_cycle, show, scenario, **options)
+    given = (file, reference, out, steps, masters, signals or (), repeats, work_cycle)
+    study(*given, print_convergence, scenario, **options)
 
 
 def print_convergence(study: ConvergenceStudy, out: Path) -> None:
     """Print the tables and notes of a study, write its files."""
-    from rich.console import Console
+    from orchestrator.studies.convergence.convergence_report import report, write
 
-    from orchestrator.studies.convergence.convergence_study import failures, tables, write
-
-    console = Console()
-    for table in tables(study):
-        table.print(console)
-    lines = [*failures(study), *(f"note: {note}" for note in study.notes)]
-    print("\n".join([*lines, "", *map(str, write(study, out))]))
+    print("\n".join([report(study).text(), "", *map(str, write(study, out))]))
 
 
 PATHS = ("line", "square")

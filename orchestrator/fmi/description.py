@@ -344,16 +344,15 @@ class ModelDescription(Entry):
         """The variables by name, without aliases."""
         return {v.name: v for v in self.variables}
 
-    def for_run(self, *names: str) -> ModelDescription:
+    def for_run(self) -> ModelDescription:
         """The description without most local variables, of which FMUs can have 100 000, for a child process.
 
-        Kept are those with these names, derivatives, states, dependencies, and the first `MAX_LOCALS`.
+        Kept are derivatives, states, dependencies, and the first `MAX_LOCALS`.
         """
         entries = [u for unknowns in self.structure.values() for u in unknowns]
         keys = {key for u in entries for key in u.dependencies or ()}
         kept = {u.variable for u in entries} | {self.by_key.get(-1 if k is None else k) for k in keys}
-        kept |= {*self.states}
-        kept |= {*self.of("local")[:MAX_LOCALS], *(v for name in names if (v := self.by_name.get(name)))}
+        kept |= {*self.states, *self.of("local")[:MAX_LOCALS]}
         variables = tuple(v for v in self.variables if v.causality != "local" or v in kept)
         kept.update(variables)
         by_key = {key: v for key, v in self.by_key.items() if v in kept}

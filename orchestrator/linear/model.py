@@ -1,6 +1,5 @@
 """State-space model with names and units: modes, text output, files, export to python-control."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from orchestrator.base.files import write_whole
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import Array
 from orchestrator.linear.modes import LinearVariable, Mode, modes
+from orchestrator.results.report import Part, Report, Table, Text
 
 COLUMNS = ("frequency [Hz]", "damping ratio [1]", "time constant [s]", "mode", "states")
 ROUNDING = 1e-12  # relative to nominal; smaller values are printed as 0
@@ -64,14 +64,20 @@ class LinearModel:
         """Eigenvalues with their participating states: oscillations, then the others, each slowest first."""
         return modes(self.a, self.states)
 
-    def text(self) -> str:
-        """Summary of the operating point and the modes."""
+    def report(self) -> Report:
+        """Operating point, stability and modes."""
         groups = {"state": self.states, "input": self.inputs, "output": self.outputs}
         count = ", ".join(f"{len(group)} {name}{'s' * (len(group) != 1)}" for name, group in groups.items())
-        lines = [f"{self.name} at t = {self.time:g} s: {count}", *_operating_point(self)]
-        lines += [_stability(self.modes), ""] if self.modes else [""]
-        lines += TextTable(COLUMNS, [_row(m) for m in self.modes], left=(3, 4)).lines()
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+        stability = _stability(self.modes) if self.modes else ""
+        head = [f"{self.name} at t = {self.time:g} s: {count}", *_operating_point(self)]
+        table = TextTable(COLUMNS, [_row(m) for m in self.modes], left=(3, 4))
+        notes = [f"note: {note}" for note in self.notes]
+        parts: list[Part] = [Text([*head, *filter(None, [stability])]), Table(table, notes)]
+        return Report(f"Linear model of {self.name}", stability, parts, self._as_dict())
+
+    def text(self) -> str:
+        """Summary of the operating point and the modes."""
+        return self.report().text(verdict=False)
 
     def to_control(self) -> Any:
         """Convert to a StateSpace of the package python-control; dots in names become underscores."""
@@ -94,8 +100,7 @@ class LinearModel:
         np.savez(arrays, allow_pickle=False, **matrices, **point)
         write_whole(path, arrays.getvalue())
         json_path = path.with_suffix(".json")
-        text = json.dumps(self._as_dict(), indent=1, allow_nan=False) + "\n"
-        return path, write_whole(json_path, text)
+        return path, write_whole(json_path, self.report().json() + "\n")
 
     def _as_dict(self) -> dict[str, Any]:
         def variables(group: tuple[LinearVariable, ...], values: Array) -> list[dict[str, Any]]:

@@ -1,8 +1,8 @@
 """Figures of signals over time: what they show, their style, and their form in an HTML page.
 
-A page has each figure twice. An SVG, drawn here in milliseconds, is for print and for a browser without
-scripts. A plot that can be zoomed replaces it on the screen: uPlot draws it from the data in the page
-(`templates/plot.js`). `orchestrator.pages.plotting` draws the same figures with matplotlib, for PNG files.
+A page has the data of each figure and a table of its extremes. uPlot draws it on the screen, where it can be
+zoomed, and in print (`templates/plot.js`). `orchestrator.pages.plotting` draws the same figures with
+matplotlib, for files that are asked for.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 from numpy.typing import NDArray
 
-from orchestrator.base.text import MINUS, TextTable, number, typeset
-from orchestrator.base.units import pretty, superscript
+from orchestrator.base.text import TextTable, number, typeset
+from orchestrator.base.units import pretty
 
 Array = NDArray[np.float64]
 Style = Mapping[str, Any]
@@ -151,6 +151,7 @@ class TracePanel:
     unit         of the curves
     error_unit   of the errors
     bounds       limits of the errors: symmetric bands, drawn if they are inside the axes
+    whole        the axes of the errors reach to their limits, however small the errors are
     remarks      (text, colour) on the right of the panel
     key_beside   legend on the right of the panel, not above it; pages have it above in any case
     heights      of panel and error strip, in units of `ROW_HEIGHT`
@@ -164,6 +165,7 @@ class TracePanel:
     error_label: str = "error"
     error_unit: str = ""
     bounds: Collection[float] = ()
+    whole: bool = False
     remarks: Sequence[tuple[str, str]] = ()
     heights: tuple[float, float] = (2.5, 1.0)
     areas: Sequence[TraceArea] = ()
@@ -195,7 +197,8 @@ class TraceFigure:
         """First and last time [s]; around a single point in time there is a margin."""
         times = [line.time for panel in self.panels for line in panel.lines]
         start, stop = self.window or (min(float(t[0]) for t in times), max(float(t[-1]) for t in times))
-        return (start, stop) if start < stop else _limits([np.array([start])])
+        margin = 0.1 * abs(start) or 1.0
+        return (start, stop) if start < stop else (start - margin, start + margin)
 
 
 # ---- charts: a panel is one, its error strip another
@@ -209,201 +212,28 @@ class _Chart:
     unit: str
     lines: Sequence[TraceLine]
     height: float
-    low: float
-    high: float
     panel: TracePanel
     strip: bool = False
 
 
 def _charts(figure: TraceFigure) -> Iterator[_Chart]:
     for panel in figure.panels:
-        areas = [y for area in panel.areas for y in (area.low, area.high)]
-        low, high = _limits([line.values for line in panel.lines] + areas)
-        yield _Chart(panel.heading, panel.unit, panel.lines, panel.heights[0], low, high, panel)
+        yield _Chart(panel.heading, panel.unit, panel.lines, panel.heights[0], panel)
         if panel.errors:
-            low, high = _limits([line.values for line in panel.errors])
-            end = 1.1 * max(abs(low), abs(high))
-            yield _Chart(
-                panel.error_label, panel.error_unit, panel.errors, panel.heights[1], -end, end, panel, True
-            )
+            height = panel.heights[1]
+            yield _Chart(panel.error_label, panel.error_unit, panel.errors, height, panel, strip=True)
 
 
-def _limits(curves: Sequence[Array]) -> tuple[float, float]:
-    """Least and largest value with a margin; never equal."""
-    finite = [y[np.isfinite(y)] for y in curves]
-    low = min((float(y.min()) for y in finite if y.size), default=0.0)
-    high = max((float(y.max()) for y in finite if y.size), default=1.0)
-    margin = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
-    return low - margin, high + margin
+# ---- the plot
 
-
-# ---- SVG
-
-WIDE, LEFT, RIGHT, ROW = 1000, 86, 16, 46  # units of the SVG: width, margins, height of a row
-REMARKS = 150  # width beside the panels for remarks
-PAPER = 240  # buckets of a curve: a line on A4 paper has two samples in 0.7 mm
 PIXELS_PER_POINT = 1.4
-
-
-def still(figure: TraceFigure, name: str) -> Markup:
-    """The figure as SVG whose colours follow the theme of the page."""
-    right = REMARKS if any(panel.remarks for panel in figure.panels) else RIGHT
-    top = 8 + (26 if figure.title or figure.key else 0)
-    body, y, charts = [], float(top), list(_charts(figure))
-    for k, chart in enumerate(charts):
-        y += 0.0 if chart.strip or not _named(chart) else 14.0
-        height = max(ROW * chart.height, 50.0)
-        body.append(_axes(chart, figure.span, (LEFT, y, WIDE - LEFT - right, height), k == len(charts) - 1))
-        y += height + (18.0 if k + 1 < len(charts) and not charts[k + 1].strip else 10.0)
-    y += 34.0
-    body.append(_text(LEFT + (WIDE - LEFT - right) / 2, y - 6, "time [s]", "middle"))
-    if figure.below:
-        y += 16
-        body.append(_text(WIDE, y - 6, figure.below, "end", "soft"))
-    head = _head(figure)
-    start, stop = figure.span
-    shown = ", ".join(panel.heading for panel in figure.panels if panel.heading)
-    label = escape(f"{name} over time, {number(start)} to {number(stop)} s{': ' if shown else ''}{shown}")
-    return Markup(
-        f'<svg class="still" viewBox="0 0 {WIDE} {y:.0f}" role="img" aria-label="{label}">'
-        f"{head}{''.join(body)}</svg>"
-    )
-
-
-def _named(chart: _Chart) -> bool:
-    """Does the chart need a line of names above it?"""
-    return not chart.strip and bool(chart.panel.title or any(line.name for line in chart.lines))
-
-
-def _head(figure: TraceFigure) -> str:
-    """Title and key."""
-    parts = [f'<text x="0" y="17" class="title">{escape(figure.title)}</text>'] if figure.title else []
-    x = float(WIDE)
-    for label, style in reversed(list(figure.key)):
-        x -= 7.0 * len(label)
-        parts.append(_text(x, 16, label))
-        x -= 36
-        parts.append(f'<path d="M{x:.0f} 12h28"{_stroke(style)}/>')
-        x -= 14
-    return "".join(parts)
-
-
-def _axes(chart: _Chart, span: tuple[float, float], box: tuple[float, ...], last: bool) -> str:
-    """Grid, tick labels, curves and texts of a chart in the box (x, y, width, height)."""
-    x0, y0, width, height = box
-    (start, stop), low, high = span, chart.low, chart.high
-    sx = width / ((stop - start) or 1.0)
-    sy = height / (high - low)
-    power = power_of_ten(low, high)
-    grid, parts = [], []
-    for value, label in tick_labels(low, high, 3 if chart.strip else 5, power):
-        y = y0 + (high - value) * sy
-        grid.append(f"M{x0:g} {y:.1f}h{width:g}")
-        parts.append(_text(x0 - 6, y + 4, label, "end"))
-    for value, label in tick_labels(start, stop, 9, 0):
-        x = x0 + (value - start) * sx
-        grid.append(f"M{x:.1f} {y0:.1f}v{height:.1f}")
-        if last:
-            parts.append(_text(x, y0 + height + 15, label, "middle"))
-    for bound in chart.panel.bounds if chart.strip else ():
-        if bound < high:
-            parts.append(
-                f'<rect class="limit" x="{x0:g}" y="{y0 + (high - bound) * sy:.1f}" width="{width:g}"'
-                f' height="{2 * bound * sy:.1f}"/>'
-            )
-
-    def place(time: Array, values: Array) -> tuple[Array, Array]:
-        inside = (time >= start) & (time <= stop)
-        t, v = decimate(time[inside], values[inside], PAPER)
-        return x0 + (t - start) * sx, y0 + (high - v) * sy
-
-    curves = [f'<path class="grid" d="{"".join(grid)}"/>']
-    for area in chart.panel.areas if not chart.strip else ():
-        (there, low_edge), (back, high_edge) = place(area.time, area.low), place(area.time, area.high)
-        path = _path(np.concatenate((there, back[::-1])), np.concatenate((low_edge, high_edge[::-1])))
-        curves.append(f'<path d="{path}z" fill="{_colour(area.colour)}" opacity=".4"/>')
-    for line in chart.lines:
-        style = {**line.style, "linewidth": 0.9} if chart.strip else line.style
-        curves.append(f'<path d="{_path(*place(line.time, line.values))}"{_stroke(style)}/>')
-    middle = y0 + height / 2
-    scale = f"10{superscript(str(power))} " if power else ""
-    unit = f"{scale}{pretty(chart.unit)}".rstrip() or "1"
-    parts.append(
-        f'<text transform="translate(12 {middle:.1f})rotate(-90)" text-anchor="middle">'
-        f'<tspan x="0">{escape(chart.label if chart.strip or chart.panel.label else "")}</tspan>'
-        f'<tspan x="0" dy="13">{escape(f"[{unit}]")}</tspan></text>'
-    )
-    return "".join([*curves, *parts, *_beside(chart, box)])
-
-
-def _beside(chart: _Chart, box: tuple[float, ...]) -> Iterator[str]:
-    """Title and names above a panel, remarks to the right of it."""
-    if chart.strip:
-        return
-    x0, y0, width, _ = box
-    if chart.panel.title:
-        yield _text(x0, y0 - 5, chart.panel.title)
-    x = x0 + width
-    first = {line.name: line for line in reversed(chart.lines) if line.name}
-    for line in first.values():
-        x -= 7.0 * len(line.name)
-        yield _text(x, y0 - 5, line.name)
-        yield f'<path d="M{x - 26:.0f} {y0 - 9:.0f}h20"{_stroke(line.style)}/>'
-        x -= 40
-    rows = [(row, colour) for text, colour in chart.panel.remarks for row in typeset(text).split("\n")]
-    for k, (row, colour) in enumerate(rows):
-        yield _text(x0 + width + 10, y0 + 11 + 14 * k, row, "start", "", colour)
-
-
-def _text(x: float, y: float, text: str, anchor: str = "start", kind: str = "", colour: str = "") -> str:
-    more = f' text-anchor="{anchor}"' if anchor != "start" else ""
-    more += f' class="{kind}"' if kind else ""
-    more += f' style="fill:{_colour(colour)}"' if colour else ""
-    return f'<text x="{x:.1f}" y="{y:.1f}"{more}>{escape(text)}</text>'
-
-
 _VARIABLES = {colour: name for name, colour in PALETTE.variables().items()}
-
-
-def _colour(colour: str) -> str:
-    """The colour as CSS variable, which follows the theme, if it is one of the palette."""
-    name = _VARIABLES.get(colour)
-    return f"var(--fig-{name},{colour})" if name else colour
 
 
 def _dashes(style: Style) -> list[float]:
     """Lengths of strokes and gaps over the line width; empty for a solid line."""
     pattern = style.get("linestyle", "-")
     return [] if isinstance(pattern, str) else [float(length) for length in pattern[1]]
-
-
-def _stroke(style: Style) -> str:
-    """Attributes of a path."""
-    width = PIXELS_PER_POINT * float(style.get("linewidth", 1.2))
-    dashes = " ".join(f"{length * width:.3g}" for length in _dashes(style))
-    return (
-        f' fill="none" stroke="{_colour(style["color"])}" stroke-width="{width:.3g}"'
-        + (f' stroke-dasharray="{dashes}"' if dashes else "")
-        + (f' opacity="{style["alpha"]:g}"' if "alpha" in style else "")
-    )
-
-
-def _path(x: Array, y: Array) -> str:
-    """Path data with relative coordinates in tenths, which are short; NaN interrupts the curve."""
-    finite = np.isfinite(y)
-    corners = np.round(10 * np.column_stack((x, np.where(finite, y, 0.0)))).astype(int)
-    parts, previous, pen = [], [0, 0], False
-    for corner, drawn in zip(corners.tolist(), finite.tolist(), strict=True):
-        if not drawn:
-            pen = False
-            continue
-        if not pen:
-            parts.append(f"M{corner[0] / 10:g} {corner[1] / 10:g}l")
-        else:
-            dx, dy = ((new - old) / 10 for new, old in zip(corner, previous, strict=True))
-            parts.append(f"{dx:g}{'' if dy < 0 else ' '}{dy:g} ")
-        previous, pen = corner, True
-    return "".join(parts).replace("l M", "M").replace("-0.", "-.").replace(" 0.", " .").rstrip("l ")
 
 
 def power_of_ten(low: float, high: float) -> int:
@@ -413,26 +243,12 @@ def power_of_ten(low: float, high: float) -> int:
     return 0 if -3 <= power <= 4 else power
 
 
-def tick_labels(low: float, high: float, count: int, power: int) -> list[tuple[float, str]]:
-    """Two to `count` round values from low to high, and their labels without the power of ten."""
-    magnitude = 10.0 ** math.floor(math.log10((high - low) / count))
-    steps = [m * magnitude for m in (1, 2, 2.5, 5, 10)]
-    within = [(step, math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)) for step in steps]
-    step, first, last = next((s for s in within if 1 < s[2] - s[1] + 1 <= count + 1), within[0])
-    digits = max(0, -math.floor(math.log10(step / 10.0**power) + 1e-9))
-    digits += step == steps[2] and step / 10.0**power < 10
-    values = step * np.arange(first, last + 1)
-    return [(float(v), f"{v / 10.0**power + 0.0:.{digits}f}".replace("-", MINUS)) for v in values]
-
-
-# ---- the plot that can be zoomed
-
 SAMPLES = 2500  # of a curve; a longer one keeps the extremes of its buckets
 DIGITS = 20  # bits of a value: one part in a million of the curve's range
 
 
 def plot(figure: TraceFigure, name: str) -> Markup:
-    """The figure for a page: SVG, data of the plot, and a table of the extremes.
+    """The figure for a page: data of the plot, and a table of the extremes, which is there without scripts.
 
     name   what the figure shows, for readers who do not see it; the figure's title by default
 
@@ -440,12 +256,10 @@ def plot(figure: TraceFigure, name: str) -> Markup:
     """
     name = figure.title or name
     return Markup(
-        '<div class="plot" role="group" aria-label="{name}">{svg}'
+        '<div class="plot" role="group" aria-label="{name}">'
         '<script type="application/json">{spec}</script>'
         "<details><summary>Extremes of {name}</summary>{table}</details></div>"
-    ).format(
-        name=name, svg=still(figure, name), spec=script_data(_spec(figure)), table=_extremes(figure).html()
-    )
+    ).format(name=name, spec=script_data(_spec(figure)), table=_extremes(figure).html())
 
 
 def script_data(data: Any) -> Markup:
@@ -492,6 +306,7 @@ def _spec(figure: TraceFigure) -> dict[str, Any]:
         columns += values
         if chart.strip:
             entry |= {"strip": 1, "bounds": [float(f"{b:.6g}") for b in sorted(chart.panel.bounds)]}
+            entry |= {"whole": 1} if chart.panel.whole else {}
         elif chart.panel.remarks:
             remarks = [(typeset(text).replace("\n", ", "), _name(c)) for text, c in chart.panel.remarks]
             entry["remarks"] = remarks

@@ -6,8 +6,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass
-from operator import attrgetter
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,12 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from orchestrator.base.files import write_whole
-from orchestrator.base.text import grouped, jinja_environment, number, typeset
+from orchestrator.base.text import TextTable, jinja_environment, typeset
 from orchestrator.base.units import pretty
 from orchestrator.pages.figures import plot_scripts
 
 TEMPLATES = Path(__file__).with_name("templates")
+QUANTITY = re.compile(r"(?<![\w.])(-?\d[\d.e+-]*) ([A-Za-z][\w./]*)")  # a number and its unit
 
 
 def render(template: Path, *, title: str, plots: bool = False, **content: object) -> str:
@@ -29,23 +29,54 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     plots      whether the page has figures of `orchestrator.pages.figures.plot`
     content    variables of the template, besides `title` and `style`
 
-    Templates can use the macros of `parts.html.j2`, and the filters number, typeset, pretty (units),
-    upper_first, groupby_order and breakable (a name, which may break after its dots and underscores).
+    Templates can use the macros of `parts.html.j2`, and the filters typeset, upper_first, sentence and
+    breakable.
     """
     environment = jinja_environment(template.parent, TEMPLATES, escaped=True)
     environment.filters.update(
-        number=lambda value, digits=3: typeset(number(value, digits)),
-        typeset=lambda text: Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(typeset(text))))),
-        pretty=pretty,
-        breakable=lambda name: Markup(re.sub(r"([._])(?=\w)", r"\1<wbr>", str(escape(name)))),
-        upper_first=lambda text: f"{text[:1].upper()}{text[1:]}",
-        groupby_order=lambda rows, name: grouped(rows, attrgetter(name)).items(),
+        typeset=typeset_code,
+        breakable=breakable,
+        upper_first=upper_first,
+        sentence=sentence,
     )
     styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
     style = Markup("\n".join(path.read_text(encoding="utf-8") for path in styles if path.is_file()))
     scripts = plot_scripts() if plots else ""
     page = environment.get_template(template.name)
     return str(page.render(title=title, style=style, plots=scripts, **content))
+
+
+def typeset_code(text: str) -> Markup:
+    """A text with numbers as on paper, and what is between backticks as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(typeset(text)))))
+
+
+def breakable(name: str) -> Markup:
+    """A name that may break after its dots and underscores."""
+    return Markup(re.sub(r"([._])(?=\w)", r"\1<wbr>", str(escape(name))))
+
+
+def upper_first(text: str) -> str:
+    """The text with a capital."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def sentence(text: str) -> Markup:
+    """The text as a sentence of a page; markup, and what ends as a sentence, as it is."""
+    if isinstance(text, Markup):
+        return text
+    return typeset_code(text if text.endswith((".", "!", "?", ":")) else f"{upper_first(text)}.")
+
+
+def typeset_table(table: TextTable) -> TextTable:
+    """The table with numbers and units as on paper: 1.7e-05 m3 is 1.7·10⁻⁵ m³."""
+
+    def cell(text: str) -> str:
+        if isinstance(text, Markup):
+            return text
+        return typeset(re.sub(QUANTITY, lambda m: f"{m[1]} {pretty(m[2])}", text))
+
+    return replace(table, rows=[[cell(text) for text in row] for row in table.rows])
 
 
 def write_text(path: Path, text: str) -> Path:

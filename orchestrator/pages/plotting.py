@@ -1,7 +1,7 @@
 """Figures drawn by matplotlib: common style, panels of signals over time with their errors, PNG and SVG.
 
 Documents contain figures as PNG. HTML pages contain them as SVG, whose colours follow the theme of the page;
-signals over time are drawn there by `orchestrator.pages.figures`.
+signals over time are drawn there by scripts, see `orchestrator.pages.figures`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ from orchestrator.pages.figures import (
     curve_style,
     decimate,
     power_of_ten,
-    still,
 )
 
 WIDTH = 9.6  # [in], 1000 pixels in a page
@@ -193,7 +192,6 @@ MAX_PANELS, MAX_LINES = 4, 6  # of a figure without chosen signals: one page, on
 MAX_DASHES = 3  # line styles that can be told apart in curves that change fast
 FIRST_QUANTITIES = ("voltage", "angle", "speed", "pressure", "position", "velocity", "flow", "force", "power")
 SAME = 1e-3  # of its range: a curve that is closer to an earlier one cannot be seen beside it
-SMALL = "font: 11px sans-serif; fill: currentColor; --fig-grid: #8885"  # style of a figure in a notebook
 LEGEND_ROW = 0.16  # [in] of an entry
 
 
@@ -276,7 +274,8 @@ def small_figure(time: Array, signals: Mapping[str, Array], units: Mapping[str, 
         return ""
     figure = signal_figure({"": (time, {n: signals[n] for n in chosen})}, units)
     panels = [replace(panel, heights=(1.8, 0.0)) for panel in figure.panels]
-    return f'<div style="max-width: 60em; {SMALL}">{still(replace(figure, panels=panels), "signals")}</div>'
+    drawn = embed(draw(replace(figure, panels=panels)), "small-", "signals")
+    return f'<div style="max-width: 60em; background: white">{drawn}</div>'
 
 
 def _styles(panels: Sequence[Sequence[str]], labels: Mapping[str, str]) -> dict[str, Style]:

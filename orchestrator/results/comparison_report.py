@@ -5,13 +5,13 @@ The figure shows each signal of all runs, and below it the differences from the 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
 from orchestrator.base.files import write_whole
 from orchestrator.base.text import (
@@ -23,13 +23,12 @@ from orchestrator.base.text import (
     join_words,
     number,
     percentage,
-    typeset,
 )
-from orchestrator.base.units import convert, factor_and_offset, pretty, reader_unit
+from orchestrator.base.units import convert, factor_and_offset, reader_unit
 from orchestrator.data.trace import inside
 from orchestrator.engine.result import RunMetadata
-from orchestrator.pages import html_page
-from orchestrator.pages.figures import REFERENCE, Style, TraceFigure, TraceLine, TracePanel, curve_style, plot
+from orchestrator.pages.figures import REFERENCE, Style, TraceFigure, TraceLine, TracePanel, curve_style
+from orchestrator.pages.html_page import typeset_table
 from orchestrator.results.comparison import (
     CONSTANT,
     DEFAULT_QUANTITIES,
@@ -40,14 +39,13 @@ from orchestrator.results.comparison import (
     different_values,
 )
 from orchestrator.results.metrics import AT_REST, HARDLY_MOVES
+from orchestrator.results.report import PAGE, TERMINAL, Figure, Part, Report, Section, Table, Text
 from orchestrator.results.validation import ValidatedSignal
 from orchestrator.ssp.provenance import value_text
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Drawing
 
-TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
-QUANTITY = re.compile(r"(?<![\w.])(-?\d[\d.e+-]*) ([A-Za-z][\w./]*)")  # a number and its unit
 WIDTH = 100  # characters of a line in a terminal
 MOST_PANELS = 6  # of a figure on one page
 MOST_OF_QUANTITY = 3  # panels
@@ -102,7 +100,7 @@ def _same_curve(row: ValidatedSignal, other: ValidatedSignal) -> bool:
     return bool(max(differences) < SAME_CURVE * np.ptp(row.reference))
 
 
-def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Figure:
+def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Drawing:
     """The figure, drawn by matplotlib; default signals: those with the largest differences."""
     from orchestrator.pages import plotting
 
@@ -139,14 +137,6 @@ def _panel(comparison: Comparison, shown: Sequence[tuple[Run, str, Style]], name
     )
 
 
-def text(comparison: Comparison) -> str:
-    """Runs that are not reliable, other experiments, cost of each run, worst and chosen signals, notes."""
-    parts = [[f"warning: {text}" for text in (*comparison.unreliable, *comparison.experiments)]]
-    parts += [[*(table.lines() if table.rows else ()), *below] for table, below in tables(comparison)]
-    parts += [[f"note: {note}" for note in _notes(comparison)]]
-    return "\n\n".join("\n".join(part) for part in parts if part)
-
-
 def tables(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
     """Each table with the lines below it."""
     if any(run.metadata for run in comparison.runs):
@@ -159,7 +149,7 @@ def tables(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
 
 def worst_tables(comparison: Comparison) -> Iterator[TextTable]:
     """The worst signals of each run, as on the page."""
-    return (_typeset(_worst(comparison, label)) for label in comparison.against)
+    return (typeset_table(_worst(comparison, label)) for label in comparison.against)
 
 
 def _different_values(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
@@ -308,50 +298,74 @@ def _cells(row: ValidatedSignal) -> tuple[str, str]:
     return nrmse, error_display_unit(row.unit).ascii(m.maximum_error)
 
 
+def report(comparison: Comparison) -> Report:
+    """Runs that are not reliable, other experiments, cost of each run, worst and chosen signals, notes."""
+    reference, others = comparison.reference.label, first_names(comparison.against)
+    doubts, notes = [*comparison.unreliable, *comparison.experiments], list(_notes(comparison))
+    start, stop = comparison.window
+    caption = f"Below each signal: its difference from {reference}."
+    lead = [
+        Markup("Differences from <b>{}</b>, {} to {} s.").format(reference, number(start), number(stop)),
+        f"NRMSE: root mean square difference over the range of the signal in {reference}",
+    ]
+    parts: list[Part] = [
+        Text([f"warning: {text}" for text in doubts], "warn", only=TERMINAL),
+        Text(doubts, "warn", only=PAGE),
+        Figure(traces(comparison), "Signals that differ most", caption),
+        Section("Numbers", [Table(table, below) for table, below in tables(comparison)], only=""),
+        Text([f"note: {note}" for note in notes], only=TERMINAL),
+        Section("Notes", [Text(notes, "soft")]),
+        Section("Runs", [Table(_runs(comparison))], folded=True),
+    ]
+    data = {
+        "reference": reference,
+        "shown": comparison.signals,
+        "runs": {
+            run.label: _run_data(run) | _difference_data(comparison, run.label) for run in comparison.runs
+        },
+        "notes": comparison.notes,
+        "experiments": comparison.experiments,
+        "unreliable": comparison.unreliable,
+    }
+    return Report(f"{others} against {reference}", _verdict(comparison), parts, data, lead=lead)
+
+
+def _verdict(comparison: Comparison) -> str:
+    """The signal with the largest NRMSE of all runs."""
+    quantities = [(label, q) for label in comparison.against for q in comparison.quantities()]
+    rows = [(label, row) for label, q in quantities if (row := comparison.worst(label, q))]
+    if not (rows := [(n, r) for n, r in rows if not comparison.equal(n, r)]):
+        return "no signal differs"
+    label, worst = max(rows, key=lambda pair: pair[1].metrics.nrmse or 0.0)
+    nrmse = percentage(worst.metrics.nrmse)
+    return f"largest NRMSE: {worst.signal} of {label}, {nrmse}; at most {_difference(worst)}"
+
+
+def text(comparison: Comparison) -> str:
+    """What a terminal shows."""
+    return report(comparison).text()
+
+
+def _runs(comparison: Comparison) -> TextTable:
+    """Files, systems and what was given of all runs."""
+    rows = []
+    for run in comparison.runs:
+        given = run.metadata.given if run.metadata else {}
+        several = {
+            k: [f"{n}={v}" for n, v in of.items()] for k, of in given.items() if isinstance(of, Mapping)
+        }
+        settings = [f"{key} {', '.join(several.get(key, [str(value)]))}" for key, value in given.items()]
+        system = run.metadata.system if run.metadata else ""
+        rows.append([run.label, run.file, system, ", ".join(settings)])
+    return TextTable(["run", "file", "system", "settings"], rows, left=(0, 1, 2, 3))
+
+
 def write(comparison: Comparison, folder: str | Path) -> tuple[Path, Path, Path]:
     """Write comparison.html, comparison.png and comparison.json to a folder; returns the three."""
     from orchestrator.pages.plotting import png
 
-    page = html_page.write_text(Path(folder) / "comparison.html", render(comparison))
-    numbers = html_page.write_json(page.with_suffix(".json"), as_dict(comparison))
-    picture = write_whole(page.with_suffix(".png"), png(draw(comparison)))
-    return page, picture, numbers
-
-
-def render(comparison: Comparison) -> str:
-    """The page as HTML."""
-    others = first_names(comparison.against)
-    return html_page.render(
-        TEMPLATE,
-        title=f"{others} against {comparison.reference.label}",
-        plots=True,
-        comparison=comparison,
-        figure=plot(traces(comparison), "Signals that differ most"),
-        tables=[(table.rows and _typeset(table).html(), below) for table, below in tables(comparison)],
-        notes=list(_notes(comparison)),
-    )
-
-
-def _typeset(table: TextTable) -> TextTable:
-    """The table with numbers and units as on paper: 1.7e-05 m3 is 1.7·10⁻⁵ m³."""
-    rows = [
-        [re.sub(QUANTITY, lambda m: f"{m[1]} {pretty(m[2])}", cell) for cell in row] for row in table.rows
-    ]
-    return replace(table, rows=[[typeset(cell) for cell in row] for row in rows])
-
-
-def as_dict(comparison: Comparison) -> Mapping[str, Any]:
-    """The comparison for comparison.json: cost of each run, and differences of all signals."""
-    return {
-        "reference": comparison.reference.label,
-        "shown": list(comparison.signals),
-        "runs": {
-            run.label: _run_data(run) | _difference_data(comparison, run.label) for run in comparison.runs
-        },
-        "notes": list(comparison.notes),
-        "experiments": list(comparison.experiments),
-        "unreliable": list(comparison.unreliable),
-    }
+    page, numbers = report(comparison).write(Path(folder) / "comparison.html")
+    return page, write_whole(page.with_suffix(".png"), png(draw(comparison))), numbers
 
 
 def _run_data(run: Run) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,8 +25,8 @@ from orchestrator.data.trace import Trace, trace_of
 from orchestrator.drive.findings import findings as findings_in
 from orchestrator.engine.result import Result
 from orchestrator.engine.run import run
-from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel, plot
-from orchestrator.pages.html_page import render, write_text
+from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
+from orchestrator.results.report import TERMINAL, Figure, Part, Report, Section, Table, Text
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import Component, System
 from orchestrator.ssp.write import parameter_set
@@ -48,7 +49,11 @@ SHOWN = {
     "Pa.s/m3": (1e-5 * 200 * LITRE, "bar at 200 L/min"),
     "s": (1e3, "ms"),
 }
-TEMPLATE = Path(__file__).with_name("templates") / "diagnosis.html.j2"
+GREY = "Grey: 95 % interval. Gaps: cannot be told."
+BLIND = (
+    "A reading is missing or wrong, old and new readings contradict each other, or the machine did not do"
+    " what would show it: rest, motion or flow for long enough"
+)
 
 
 @dataclass(frozen=True)
@@ -166,14 +171,44 @@ class Diagnosis:
         rows = [[f.text, f.extent(), f"{f.since:.2f}", f.repair] for f in self.broken]
         return TextTable(("fault", "size (95 % interval)", "told at [s]", "look at"), rows, left=(0, 1, 3))
 
+    def report(self) -> Report:
+        """What is broken, with its picture, and what cannot be told."""
+        blind = [f"{name}: {'; '.join(f.text for f in some)}" for name, some in self.blind.items()]
+        at_end = [f"Cannot be told at the end: {', '.join(self.blind)}"] if self.blind else []
+        time = self.findings[0].time
+        interval = "; intervals hold the size with 95 %" if self.broken else ""
+        parts: list[Part] = [
+            Text(self.remarks, "soft"),
+            Table(self.table()),
+            Text([f"{self.source}: {self.verdict}", *at_end], only=TERMINAL),
+            *(Section(f.text, [_told(f), Figure(_figure(f), f.name, GREY)]) for f in self.broken),
+            Section("No fault", [Text([", ".join(self.sound)] if self.sound else [])]),
+            Section("What cannot be told at the end", [Text([BLIND, *blind] if blind else [])], folded=True),
+        ]
+        data = {"source": self.source, "remarks": self.remarks, "findings": [_data(f) for f in self.findings]}
+        passed = False if self.broken else True if self.is_known else None
+        lead = [f"{number(time[0])} to {number(time[-1])} s{interval}"]
+        return Report(f"Diagnosis of {self.source}", self.verdict, parts, data, passed, lead)
+
     def text(self) -> str:
         """For a terminal."""
-        lines = list(self.remarks)
-        lines += self.table().lines() if self.broken else []
-        lines.append(f"{self.source}: {self.verdict}")
-        if self.blind:
-            lines.append(f"Cannot be told at the end: {', '.join(self.blind)}")
-        return "\n".join(lines)
+        return self.report().text(verdict=False)
+
+
+def _told(f: Finding) -> Text:
+    """When a fault was told, its size beside the healthy one, and the repair."""
+    factor, unit = f.shown
+    healthy = f"; healthy: {number(factor * f.healthy)} {unit}".rstrip() if f.extent() else ""
+    size = [f"{f.extent()}{healthy}"] if f.extent() else []
+    return Text([f"Told at {number(f.since)} s", f"Look at: {f.repair}", *size])
+
+
+def _data(f: Finding) -> dict[str, Any]:
+    """A finding for programs; size and deviation where it was told last, else at the end."""
+    row = f.last if f.broken else -1
+    since = f.since if f.broken else None
+    names = {name: getattr(f, name) for name in ("name", "text", "unit", "repair", "broken", "healthy")}
+    return {**names, "since [s]": since, "size": f.size[row], "deviation": f.deviation[row]}
 
 
 def readings(file: Path) -> Trace:
@@ -349,15 +384,6 @@ def learned(diagnosis: Diagnosis) -> bytes:
     variables = component.interface.variables
     values = {n: (variables[n.partition(".")[2]], v) for n, v in learned_values(diagnosis).items()}
     return parameter_set("healthy", values)
-
-
-def report(diagnosis: Diagnosis, file: Path) -> Path:
-    """A page with the faults, the picture of each, and what cannot be told."""
-    figures = [(f, plot(_figure(f), f.name)) for f in diagnosis.broken]
-    content = dict(diagnosis=diagnosis, table=diagnosis.table().html(), figures=figures)
-    return write_text(
-        file, render(TEMPLATE, title=f"Diagnosis of {diagnosis.source}", plots=bool(figures), **content)
-    )
 
 
 def _figure(f: Finding) -> TraceFigure:

@@ -6,7 +6,7 @@ can replace a reference, with the limits of its signals.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -32,9 +32,9 @@ from orchestrator.engine.result import Card, Result, ranges, widest_of_unit
 from orchestrator.engine.run import run_to_file
 from orchestrator.engine.time_grid import Grid
 from orchestrator.monolithic.reference import SOLVER, reference
-from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.metrics import AT_REST
+from orchestrator.results.report import Report
 from orchestrator.results.validation import (
     Validation,
     by_variable,
@@ -42,6 +42,7 @@ from orchestrator.results.validation import (
     validate,
     without_repetitions,
 )
+from orchestrator.results.validation_report import validation_report
 from orchestrator.ssp.load import configured, load
 from orchestrator.ssp.plausible import doubtful_end, doubtful_signals, refuse_long, with_doubts
 from orchestrator.ssp.provenance import built_notes, checksum, chosen_note, other_values
@@ -144,7 +145,7 @@ def judge(
     facts: Mapping[str, Any],
     rate: bool = True,
     machine: Markup = Markup(),  # noqa: B008  immutable
-) -> tuple[Validation, Path, Path]:
+) -> tuple[Validation, Report, Path, Path]:
     """Compare a run with a reference and write report.html and report.json into the folder `out`.
 
     layout  without figures there is one, with a row per compared signal
@@ -157,7 +158,7 @@ def judge(
     validation = replace(validation, unreliable=result.card.unreliable)
     layout.check(result.trace)
     panels = tuple(PanelSpec(row.title, (row.signal,)) for row in validation.rows)
-    report = reporting.Report(
+    found = validation_report(
         title=layout.title or f"Validation of {result.system.name}",
         validation=validation,
         figures=layout.figures or ((FigureSpec("Signals over time", panels),) if panels else ()),
@@ -171,8 +172,8 @@ def judge(
         notes=result.card.notes,
         caution="; ".join(filter(None, (*result.card.unreliable, another_model(result.system, reference)))),
     )
-    with doing(f"drawing {len(report.figures)} figures"):
-        return validation, *reporting.write_report(out / "report.html", report)
+    with doing("writing the report"):
+        return validation, found, *found.write(out / "report.html")
 
 
 def another_model(system: System, reference: Recording) -> str:
@@ -201,24 +202,22 @@ def other_numbers(system: Path, shipped: Recording | None, options: Mapping[str,
     return f"{reason}\n{consequence}" if reason else ""
 
 
-def describe(component: Component) -> reporting.ReportedComponent:
+def describe(component: Component) -> dict[str, str]:
     """Data of one FMU for the report."""
-    source = component.source
-    file = source.members[-1] if source and source.members else source.path.name if source else ""
-    interface = component.interface
-    return reporting.ReportedComponent(
-        component.name,
-        file,
-        interface.model.get("version"),
-        interface.model.token,
-        f"{interface.model.major}.0 CS",
-        interface.model.get("generationTool"),
-        interface.model.get("description"),
-        checksum(source) if source else "",
-    )
+    source, model = component.source, component.interface.model
+    return {
+        "name": component.name,
+        "file": source.members[-1] if source and source.members else source.path.name if source else "",
+        "version": model.get("version"),
+        "guid": model.token,
+        "fmi": f"{model.major}.0 CS",
+        "tool": model.get("generationTool"),
+        "text": model.get("description"),
+        "sha256": checksum(source) if source else "",
+    }
 
 
-def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
+def parameters(system: System) -> Iterator[dict[str, Any]]:
     """All parameters of a run, with their sources if the FMU contains `resources/parameters.toml`.
 
     Components without inputs, such as a program of lever strokes, are last.
@@ -231,21 +230,21 @@ def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
             of_list = sources.get(v.name.rpartition("_")[0] + "s", {})
             if isinstance(of_list.get("value"), list) and value == 0:
                 continue  # an entry of a list that is not used
-            provenance = sources.get(v.name, of_list)
+            known = sources.get(v.name, of_list)
+            shipped = None if v.start is None else coerce(v.name, v, v.start)
             other = others.get(f"{component.name}.{v.name}")
-            yield reporting.ReportedParameter(
-                component=component.name,
-                name=v.name,
-                value=float(value) if v.is_real else value,
-                unit=v.unit.name if v.unit else "",
-                text=v.description,
-                source=str(provenance.get("source", "")),
-                note=str(provenance.get("note", "")),
-                changed=v.name in component.start
-                and (v.start is None or coerce(v.name, v, v.start) != component.start[v.name]),
-                shipped=None if other is None else other.shipped,
-                origin=other.origin if other else "",
-            )
+            yield {
+                "component": component.name,
+                "name": v.name,
+                "value": float(value) if v.is_real else value,
+                "unit": v.unit.name if v.unit else "",
+                "text": v.description,
+                "source": str(known.get("source", "")),
+                "note": str(known.get("note", "")),
+                "changed": v.name in component.start and shipped != component.start[v.name],
+                "shipped": other and other.shipped,
+                "origin": other.origin if other else "",
+            }
 
 
 def _provenance(component: Component) -> Mapping[str, Mapping[str, Any]]:
@@ -361,7 +360,7 @@ def validate_system(
     default_accuracy: float | None = None,
     report: Callable[[str], object] = lambda _: None,
 ) -> tuple[Validation, str]:
-    """Co-simulate, compare, write the trace and the report; returns comparison, and card and files as text.
+    """Co-simulate, compare, write the trace and the report; returns comparison, and what to print.
 
     out      folder of run.csv, report.html and report.json
     rate     whether to compute the ISO/TS 18571 rating
@@ -420,8 +419,10 @@ def validate_system(
     facts = _facts(of.system, of.scenario, against.heading, card, of.options)
     machine, reason = _machine(of.system, result, against)
     result = result.noted(reason) if reason else result
-    validation, html, data = judge(replace(result, trace=recorded), against, page, out, facts, rate, machine)
-    return validation, f"{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}"
+    result = replace(result, trace=recorded)
+    validation, found, html, data = judge(result, against, page, out, facts, rate, machine)
+    files = f"report: {html}\nnumbers: {data}\ntrace: {file}"
+    return validation, f"{found.text()}\n\n{card.text()}\n\n{files}"
 
 
 def comparable(system: System, trace: Trace, reference: Recording, page: Layout) -> tuple[Recording, Trace]:

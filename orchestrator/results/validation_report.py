@@ -1,24 +1,34 @@
-"""Report of a validation: one self-contained HTML file, and the same values as JSON.
+"""Report of a validation: what `harvester validate` prints, its page, and its numbers for programs.
 
-The caller supplies all data of the run. A figure shows signals as in Figs. 10 and 11 of the paper: the
-reference is a broad solid line, the simulation is dotted, and the strip below shows simulation - reference on
-its own scale.
+The page answers first: pass or not, the signal with the largest use of its limit, and the machine to drive.
+A figure shows signals as in Figs. 10 and 11 of the paper: the reference is a broad solid line, the simulation
+is dotted, and the strip below shows simulation - reference on its own scale.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import NO_VALUE, display_unit, error_display_unit, number, percentage, typeset
-from orchestrator.base.units import in_reader_unit, reader_unit
+from orchestrator.base.text import (
+    NO_VALUE,
+    TextTable,
+    display_unit,
+    error_display_unit,
+    grouped,
+    number,
+    percentage,
+    short_names,
+    typeset,
+)
+from orchestrator.base.units import in_reader_unit, pretty, reader_unit
 from orchestrator.data.trace import Trace
-from orchestrator.pages import html_page
 from orchestrator.pages.figures import (
     PALETTE,
     REFERENCE,
@@ -26,163 +36,394 @@ from orchestrator.pages.figures import (
     TraceFigure,
     TraceLine,
     TracePanel,
-    plot,
 )
-from orchestrator.results import summary
+from orchestrator.pages.html_page import breakable, upper_first
 from orchestrator.results.layout import FigureSpec, PanelSpec
+from orchestrator.results.metrics import GIVEN
+from orchestrator.results.report import (
+    TERMINAL,
+    Facts,
+    Figure,
+    Machine,
+    Part,
+    Report,
+    Section,
+    Table,
+    Text,
+)
 from orchestrator.results.validation import ValidatedSignal, Validation
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Drawing
 
-TEMPLATES = Path(__file__).with_name("templates")
+NAMES = {
+    "nrmse": "NRMSE",
+    "rmse": "RMSE",
+    "maximum": "max. error",
+    "maximum_relative": "max. relative error",
+    "fit": "fit",
+    "vaf": "VAF",
+    "iso": "ISO rating",
+}
+ALMOST = 99.99  # [%]
+MISSED = 20  # signals outside their limits that are listed
+SAME_EQUATIONS = (
+    "Reference: a simulation of the same equations. Pass means that the co-simulation is accurate, not that"
+    " the model agrees with a machine"
+)
+METRICS = (
+    "Error = simulation - reference. NRMSE: RMSE over the range of the reference. Fit:"
+    " 100 (1 - ‖error‖ / ‖reference - its mean‖). VAF: variance accounted for,"
+    " 100 (1 - var(error) / var(reference)). ISO/TS 18571: 0 to 1, of corridor, phase, magnitude and slope;"
+    " above 0.94 excellent, 0.80 good, 0.58 fair"
+)
 
 
-@dataclass(frozen=True)
-class ReportedComponent:
-    """One FMU of the run."""
+def validation_report(
+    title: str,
+    validation: Validation,
+    figures: Sequence[FigureSpec] = (),
+    trace: Trace | None = None,
+    facts: Mapping[str, Any] | None = None,
+    components: Sequence[Mapping[str, str]] = (),
+    parameters: Sequence[Mapping[str, Any]] = (),
+    card: Mapping[str, Any] | None = None,
+    machine: Markup = Markup(),  # noqa: B008  immutable
+    warnings: Sequence[str] = (),
+    notes: Sequence[str] = (),
+    caution: str = "",
+) -> Report:
+    """The report of a validation.
 
-    name: str
-    file: str
-    version: str = ""
-    guid: str = ""
-    fmi: str = ""
-    tool: str = ""
-    text: str = ""
-    sha256: str = ""
-
-
-@dataclass(frozen=True)
-class ReportedParameter:
-    """One parameter of the run; `changed` if it was set for this run.
-
-    shipped, origin   shipped value of a parameter that differs from it, and where its value comes from
+    facts        settings of the run in the order of the report: system, scenario, master, step, ...
+    components   of each FMU: name, file, version, fmi, tool, text, guid, sha256
+    parameters   of the run: component, name, value, unit, text, source, note; `changed` if it was set for
+                 this run; `shipped` and `origin` of one that differs from the shipped value
+    card         accuracy card of the run: name -> number, text or a mapping of those
+    trace        the run, for figures of signals that were not compared, such as commands
+    machine      the machine that replays the run and can be driven, as HTML
+    caution      remark before the verdict
     """
-
-    component: str
-    name: str
-    value: float | int | bool | str
-    unit: str = ""
-    text: str = ""
-    source: str = ""
-    note: str = ""
-    changed: bool = False
-    shipped: float | int | bool | str | None = None
-    origin: str = ""
-
-
-@dataclass(frozen=True)
-class Report:
-    """Contents of a report.
-
-    facts           settings of the run in the order of the report: system, scenario, master, step, ...
-    card            accuracy card of the run: name -> number, text or a mapping of those
-    trace           the run, for figures of signals that were not compared, such as commands
-    machine         the machine that replays the run and can be driven, as HTML
-    warnings        warnings of the run, one line each
-    notes           remarks on the run
-    caution         remark before the verdict
-    """
-
-    title: str
-    validation: Validation
-    figures: Sequence[FigureSpec] = ()
-    trace: Trace | None = None
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    components: Sequence[ReportedComponent] = ()
-    parameters: Sequence[ReportedParameter] = ()
-    card: Mapping[str, Any] = field(default_factory=dict)
-    machine: Markup = Markup()  # noqa: RUF009  immutable
-    warnings: Sequence[str] = ()
-    notes: Sequence[str] = ()
-    caution: str = ""
-
-
-def write_report(path: Path | str, report: Report) -> tuple[Path, Path]:
-    """Write the HTML to `path` and the JSON next to it; returns both paths."""
-    html = Path(path)
-    html_page.write_text(html, render(report))
-    return html, html_page.write_json(html.with_suffix(".json"), as_dict(report))
-
-
-def as_dict(report: Report) -> dict[str, Any]:
-    """The report for the JSON file, in SI units or the declared unit of a signal."""
-    validation = report.validation
-    return {
-        "title": report.title,
-        "passed": validation.passed,
-        "verdict": validation.verdict,
-        "reference": {"file": validation.source, **validation.about},
-        "window": {"start": validation.window[0], "stop": validation.window[1]},
-        "signals": [_signal_dict(row) for row in validation.rows],
-        "facts": report.facts,
-        "accuracy": report.card,
-        "components": report.components,
-        "parameters": report.parameters,
-        "notes": [*report.notes, *validation.notes],
-        "warnings": report.warnings,
+    simulated = str(validation.about.get("kind", "")).startswith("simulation")
+    start, stop = validation.window
+    against = f"Compared with {validation.title} from {number(start)} to {number(stop)} s"
+    changed = sum(bool(p.get("changed")) for p in parameters)
+    of_run = f", {changed} changed for this run" if changed else ""
+    settings, card_table = Facts(facts or {}), Section("Accuracy card", [Facts(card or {})])
+    about = {"file": validation.source, **validation.about}
+    drawn = [(f.title, Figure(traces(f, validation, trace), f.title, f.caption)) for f in figures]
+    parts: list[Part] = [
+        Text(_summary(validation), only=TERMINAL),
+        *_worst(validation, trace),
+        Machine(machine),
+        Section("Warnings of the run", [Text(warnings, "warn")]),
+        *(Section(name, [figure]) for name, figure in drawn),
+        Section("Use of limits", [Table(_use_of_limits(validation))], folded=True),
+        Section("Signals", [Table(_signals(validation)), Text([METRICS], "soft")], folded=True),
+        Section("Run", [settings, Text(notes, "soft"), card_table, Table(_components(components))], True),
+        Section(f"Parameters ({len(parameters)}{of_run})", [Table(_parameters(parameters))], True),
+        Section("Reference", [Facts(about), Text(validation.notes, "soft")], folded=True),
+    ]
+    data = {
+        "reference": about,
+        "window": {"start": start, "stop": stop},
+        "signals": [_data(row) for row in validation.rows],
+        "facts": facts or {},
+        "accuracy": card or {},
+        "components": components,
+        "parameters": parameters,
+        "notes": [*notes, *validation.notes],
+        "warnings": warnings,
     }
+    passed = validation.passed if validation.judged or validation.unreliable else None
+    lead = [against, caution or (SAME_EQUATIONS if simulated else "")]
+    return Report(title, validation.verdict, parts, data, passed, list(filter(None, lead)))
 
 
-def _signal_dict(row: ValidatedSignal) -> dict[str, Any]:
+def summary(validation: Validation) -> str:
+    """What a terminal shows: failed signals, a table, notes, and the verdict as the last line."""
+    return validation_report("", validation).text()
+
+
+def _data(row: ValidatedSignal) -> dict[str, Any]:
+    """A signal for programs, in SI units or its declared unit."""
     metrics = asdict(row.metrics)
     metrics["iso"]["grade"] = row.metrics.iso.grade
     metrics.pop("notes")
-    judged = row.tolerance and {**asdict(row.tolerance), "value": row.judged_value}
     return {
-        "signal": row.signal,
-        "label": row.label,
-        "group": row.group,
-        "unit": row.unit,
+        **{name: getattr(row, name) for name in ("signal", "label", "group", "unit")},
         "samples": len(row.time),
         "metrics": metrics,
-        "tolerance": judged,
+        "tolerance": row.tolerance and {**asdict(row.tolerance), "value": row.judged_value},
         "passed": row.passed,
         "notes": row.notes,
     }
 
 
-def render(report: Report) -> str:
-    """The page as HTML."""
-    validation = report.validation
-    return html_page.render(
-        TEMPLATES / "validation_report.html.j2",
-        title=report.title,
-        report=report,
-        checked=validation,
-        tiles=[_tile(name, rows) for name, rows in validation.groups.items()],
-        words=summary,
-        error=lambda value, row: error_display_unit(row.unit).text(value),
-        share=percentage,
-        value=_value,
-        figures=[(spec, plot(traces(spec, validation, report.trace), spec.title)) for spec in report.figures],
-        plots=bool(report.figures),
-    )
+# ---- parts of the page
 
 
-def _tile(name: str, rows: Sequence[ValidatedSignal]) -> dict[str, Any]:
-    """Tile of a group: number of failed signals, and the signal with the largest use of its limit."""
-    judged = [(row.limit_use, row) for row in rows if row.tolerance is not None]
-    use, worst = max(judged, key=lambda entry: entry[0], default=(0.0, None))
-    return {
-        "name": name or "signals",
-        "count": len(rows),
-        "failed": sum(row.passed is False for _, row in judged),
-        "judged": len(judged),
-        "worst": worst,
-        "use": min(use, 1.0),
-        "share": summary.limit_share(use),
-    }
+def _worst(validation: Validation, trace: Trace | None) -> list[Figure]:
+    """The signal with the largest use of its limit, else with the largest NRMSE, beside its limit.
+
+    A signal that is not listed is only shown if it fails.
+    """
+    rows = validation.judged or validation.rows
+    rows = validation.failed or tuple(row for row in rows if row.listed) or rows
+    if not rows:
+        return []
+    row = max(rows, key=lambda row: (row.limit_use, row.metrics.nrmse or 0.0))
+    figure = traces(FigureSpec("", (PanelSpec("", (row.signal,)),)), validation, trace)
+    panel = replace(figure.panels[0], remarks=(), heights=(4.0, 2.2), whole=True)
+    if row.tolerance is None:
+        caption = f"NRMSE {percentage(row.metrics.nrmse)}; no limit."
+    else:
+        limits = f"{judged_text(row, row.judged_value)}; limit: {limit_text(row)}"
+        band = " Green: errors within the limit." if panel.bounds else ""
+        caption = (
+            f"Uses {limit_share(row.limit_use)} of its limit. {NAMES[row.tolerance.metric]}: {limits}.{band}"
+        )
+    heading = f"Worst signal: {row.title}"
+    return [Figure(replace(figure, panels=[panel]), "Worst signal", typeset(caption), heading)]
+
+
+def _use_of_limits(validation: Validation) -> TextTable:
+    """Of each group its signal with the largest use of its limit."""
+    rows = []
+    for name, members in validation.groups.items():
+        judged = [row for row in members if row.passed is not None]
+        if judged:
+            worst = max(judged, key=lambda row: row.limit_use)
+            failed = sum(not row.passed for row in judged)
+            value = judged_text(worst, worst.judged_value)
+            texts = [limit_share(worst.limit_use), value, limit_text(worst), f"{failed} of {len(judged)}"]
+            rows.append([upper_first(name or "signals"), breakable(worst.title), *texts])
+    head = ["group", "worst signal", "use of its limit", "value", "limit", "failed"]
+    return TextTable(head, rows, left=(0, 1))
+
+
+def _signals(validation: Validation) -> TextTable:
+    """All signals with their metrics, by group."""
+    rows: list[list[str]] = []
+    soft = Markup('<br><span class="soft">{}</span>')
+    for name, members in validation.groups.items():
+        rows += [[upper_first(name)]] if name else []
+        for row in members:
+            m, unit = row.metrics, error_display_unit(row.unit)
+            label = Markup("{}<br>").format(row.label) if row.label else Markup()
+            state = "pass" if row.passed else "fail"
+            result = Markup('<span class="mark {}">{}</span>').format(state, state) + soft.format(
+                typeset(limit_text(row))
+            )
+            iso = m.iso
+            rated = "not rated" if iso.overall is None else f"{iso.overall:.3f}"
+            rows.append(
+                [
+                    label + Markup("<code>{}</code>").format(breakable(row.signal)),
+                    result if row.tolerance else "not judged",
+                    percentage(m.nrmse),
+                    escape(unit.text(m.maximum_error)) + soft.format(f"at {m.time_of_maximum:.2f} s"),
+                    unit.text(m.rmse),
+                    percent(m.fit, m.rmse),
+                    percent(m.vaf, m.rmse),
+                    escape(rated) + soft.format(iso.grade if iso.overall is not None else iso.reason),
+                ]
+            )
+            rows += [[f"{row.signal}: {note}"] for note in row.notes]
+    head = ["signal", "result", "NRMSE over range", "max. error", "RMSE", "fit", "VAF", "ISO/TS 18571"]
+    return TextTable(head, rows, left=(0, 1))
+
+
+def _components(components: Sequence[Mapping[str, str]]) -> TextTable:
+    """The FMUs of a run."""
+    keys = ("name", "file", "version", "fmi", "tool", "text", "guid", "sha256")
+    rows = [[c.get(key) or "" for key in keys] for c in components]
+    head = ["component", "file", "version", "FMI", "tool", "text", "GUID", "SHA-256 of the file"]
+    return TextTable(head, rows, left=range(len(head)))
+
+
+def _parameters(parameters: Sequence[Mapping[str, Any]]) -> TextTable:
+    """All parameters, by component."""
+    rows: list[list[str]] = []
+    for component, members in grouped(parameters, itemgetter("component")).items():
+        rows.append([component])
+        for p in members:
+            name = Markup("<code>{}</code>").format(breakable(p["name"]))
+            name += Markup(' <span class="mark none">changed</span>') if p.get("changed") else ""
+            shipped = f"; shipped: {_value(p['shipped'])}" if p.get("shipped") is not None else ""
+            origin = p.get("origin")
+            name += Markup('<br><span class="soft">{}{}</span>').format(origin, shipped) if origin else ""
+            texts = (p.get("text", ""), p.get("note", ""))
+            row = [name, _value(p["value"]), pretty(p.get("unit", "")), p.get("source", "")]
+            rows.append([*row, " ".join(filter(None, texts))])
+    return TextTable(["parameter", "value", "unit", "source", "meaning"], rows, left=(0, 2, 3, 4))
 
 
 def _value(value: Any) -> str:
-    """Text of a value of facts, card or parameters."""
-    if isinstance(value, bool) or value is None:
-        return {True: "yes", False: "no", None: NO_VALUE}[value]
-    return typeset(number(value, 6)) if isinstance(value, float) else str(value)
+    return number(value, 6) if isinstance(value, float) else str(value)
 
 
-def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> Figure:
+# ---- text for a terminal
+
+
+def percent(value: float | None, rmse: float = 0.0) -> str:
+    """Fit or VAF [%], rounded down. 100 % means that there is no error at all: otherwise it is `> 99.99 %`.
+
+    rmse   of the signal: the squares in VAF lose an error of 1e-9, which fit still shows
+    """
+    if value is None:
+        return NO_VALUE
+    if value >= ALMOST and (value < 100 or rmse > 0):
+        return f"> {ALMOST} %"
+    return f"{math.floor(100 * value) / 100:.2f} %"
+
+
+def judged_text(row: ValidatedSignal, value: float | None) -> str:
+    """A value or limit of the judged metric with its unit or percent sign."""
+    if row.tolerance is None or value is None:
+        return NO_VALUE
+    if row.tolerance.in_unit:
+        return error_display_unit(row.unit).ascii(value)
+    if row.tolerance.metric in ("nrmse", "maximum_relative"):
+        return percentage(value)
+    return _exact_percent(value) if row.tolerance.metric in ("fit", "vaf") else number(value)
+
+
+def _exact_percent(value: float) -> str:
+    """Fit or VAF [%] beside its limit, rounded down: two decimals, near 100 % up to four."""
+    if value < 99:
+        return f"{math.floor(100 * value + 1e-6) / 100:.2f} %"
+    text = f"{math.floor(1e4 * value + 1e-6) / 1e4:.4f}"
+    return f"{text[:-2]}{text[-2:].rstrip('0')} %"
+
+
+def limit_text(row: ValidatedSignal) -> str:
+    """The limit with its metric, such as `NRMSE ≤ 0.5 %`."""
+    if row.tolerance is None:
+        return NO_VALUE
+    sign = "≤" if row.tolerance.upper else "≥"
+    return f"{NAMES[row.tolerance.metric]} {sign} {judged_text(row, row.tolerance.limit)}"
+
+
+def limit_share(use: float) -> str:
+    """Use of a limit in percent, rounded up, so that only a kept limit is shown as at most 100 %."""
+    # infinite without a value of the metric
+    tenths = max(math.ceil(min(1000 * use, 1e6) - 1e-9), int(use > 0))
+    return "over 100 times" if tenths > 99_999 else f"{tenths / 10:g} %"
+
+
+def miss_text(row: ValidatedSignal) -> str:
+    """How much a failed row exceeds its limit, such as `NRMSE 0.73 %, limit 0.5 % (1.46 times)`."""
+    if row.tolerance is None or row.passed:
+        return ""
+    metric, allowed, value = NAMES[row.tolerance.metric], row.tolerance.limit, row.judged_value
+    limits = f"limit {judged_text(row, allowed)}"
+    if value is None:
+        reason = row.metrics.iso.reason if row.tolerance.metric == "iso" else "; ".join(row.notes)
+        return f"no {metric}, {limits}" + (f" ({reason})" if reason else "")
+    if not row.tolerance.upper:
+        return f"{metric} {judged_text(row, value)}, {limits} ({judged_text(row, allowed - value)} short)"
+    ratio = value / allowed
+    return f"{metric} {judged_text(row, value)}, {limits} ({number(ratio, 3 if ratio > 1.01 else 9)} times)"
+
+
+_WIDTHS = (9, 8, 8, 7, 7, 5, 4)
+_HEADINGS = ("max error", "RMSE", "NRMSE %", "fit %", "VAF %", "ISO", "")
+_LEGEND = "NRMSE: over the range of the reference, or a given one; ISO: ISO/TS 18571"
+WIDTH = 80  # characters of a line
+
+
+def _summary(validation: Validation) -> list[str]:
+    """Failed signals, table and notes."""
+    lines = [f"FAIL: {reason}" for reason in validation.unreliable]
+    lines += [*_missed(validation), f"Compared with: {validation.title}", *_table(validation)]
+    return [*lines, _LEGEND, *validation.notes, *_remarks(validation)]
+
+
+def _missed(validation: Validation) -> Iterator[str]:
+    """The worst signals outside their limits."""
+    if not validation.failed:
+        return
+    failed = [(row.limit_use, row) for row in validation.failed if row.tolerance]
+    failed.sort(key=lambda entry: -entry[0])
+    verb = "is outside its limit" if len(failed) == 1 else "are outside their limits"
+    yield f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}"
+    more = [f"{len(failed) - MISSED} more, in the report"] if len(failed) > MISSED else []
+    lines = [f"{row.signal}: {miss_text(row)}" for _, row in failed[:MISSED]]
+    yield from (f"! {line}" for line in (*lines, *more))
+    yield ""
+
+
+def _table(validation: Validation) -> Iterator[str]:
+    """Headings, then a line for each group and unit, and below it a line for each signal.
+
+    Signals without limit are last. A component is only written if another signal has the same variable.
+    """
+    rows = [row for row in validation.rows if row.listed]
+    names = short_names(row.signal for row in rows)
+    sections = grouped(sorted(rows, key=lambda row: row.tolerance is None), _section)
+    name_width = min(
+        max(map(len, names.values()), default=0), max(WIDTH - sum(_WIDTHS) - len(_WIDTHS) - 2, 12)
+    )
+    yield _line("  ", "", name_width, _HEADINGS)
+    for title, members in sections.items():
+        yield f"{title}{_limits(members)}"
+        for row in members:
+            mark = "! " if row.passed is False else "  "
+            yield _line(mark, names[row.signal], name_width, _cells(row))
+    if others := [row.limit_use for row in validation.rows if not row.listed]:
+        yield f"{len(others)} others: at most {limit_share(max(others))} of their limits"
+
+
+def _section(row: ValidatedSignal) -> str:
+    """Group, unit and metric of a signal, the beginning of the title of its section."""
+    judged = NAMES[row.tolerance.metric] if row.tolerance else "not judged"
+    return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {judged}"
+
+
+def _limits(rows: Sequence[ValidatedSignal]) -> str:
+    """The limit of a section, or the smallest and the largest one."""
+    if (tolerance := rows[0].tolerance) is None:
+        return ""
+    sizes = sorted(row.tolerance.limit for row in rows if row.tolerance)
+    ends = dict.fromkeys(judged_text(rows[0], size) for size in (sizes[0], sizes[-1]))
+    return f" {'<=' if tolerance.upper else '>='} {' to '.join(ends)}"
+
+
+def _remarks(validation: Validation) -> list[str]:
+    """Each note with its signals that are listed; given ranges are in the report."""
+    listed = ((note, row.signal) for row in validation.rows for note in row.notes if row.listed)
+    notes = grouped((pair for pair in listed if not pair[0].startswith(GIVEN)), itemgetter(0))
+    return [f"{note}: {', '.join(signal for _, signal in pairs)}" for note, pairs in notes.items()]
+
+
+def _cells(row: ValidatedSignal) -> tuple[str, ...]:
+    m, unit = row.metrics, error_display_unit(row.unit)
+    fits = (
+        "<-999" if v is not None and v < -999 else percent(v, m.rmse).removesuffix(" %").replace("> ", ">")
+        for v in (m.fit, m.vaf)
+    )
+    return (
+        unit.plain(m.maximum_error),
+        unit.plain(m.rmse),
+        percentage(m.nrmse).removesuffix(" %"),
+        *fits,
+        NO_VALUE if m.iso.overall is None else f"{m.iso.overall:.3f}",
+        {True: "pass", False: "FAIL", None: NO_VALUE}[row.passed],
+    )
+
+
+def _line(mark: str, name: str, name_width: int, cells: tuple[str, ...]) -> str:
+    """A row of the table; a name longer than `name_width` is in a line of its own."""
+    above, name = (f"{mark}{name}\n", "") if len(name) > name_width else ("", name)
+    numbers = " ".join(cell.rjust(width) for cell, width in zip(cells, _WIDTHS, strict=True))
+    return f"{above}{mark}{name.ljust(name_width)} {numbers}".rstrip()
+
+
+# ---- figures
+
+
+def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> Drawing:
     """The figure of a validation with its title, drawn by matplotlib."""
     from orchestrator.pages import plotting
 
@@ -235,8 +476,8 @@ def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Tr
 
 def _verdict(name: str, row: ValidatedSignal) -> tuple[str, str]:
     """Text with the judged value and its limit, and its colour."""
-    value = summary.judged_text(row, row.judged_value)
-    text = f"{'✓' if row.passed else '✗'} {name} {value}\n{summary.limit_text(row)}".replace("  ", " ")
+    value = judged_text(row, row.judged_value)
+    text = f"{'✓' if row.passed else '✗'} {name} {value}\n{limit_text(row)}".replace("  ", " ")
     return text, PALETTE.good if row.passed else PALETTE.bad
 
 

@@ -10,7 +10,6 @@ table = sweep(study).table  # pandas table with one row per run
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -21,11 +20,10 @@ from typing import TYPE_CHECKING, TextIO
 
 import pandas as pd
 import pyarrow as pa
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
+from orchestrator.base.progress import Doing
 from orchestrator.base.text import TextTable, display_unit, grouped
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Status
@@ -40,7 +38,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 FOLDER = Path("build/sweeps")
-PROGRESS_LINES = 10  # printed if the output is not a terminal
 REASONS = 5  # of failures that are printed
 
 # all runs, finished runs, outcomes of the last batch
@@ -165,42 +162,24 @@ def units_of(prepared: PreparedStudy, size: Callable[[Options], int] = lambda _:
 # ---- the command line
 
 
-class StudyProgress:
-    """Progress of a study: a bar on a terminal, elsewhere a line for each tenth of the runs."""
-
-    def __init__(self, stream: TextIO, bar: Progress | None = None) -> None:
-        self._stream, self._bar = stream, bar
-        self._task = bar.add_task("starting", total=None) if bar else None
-        self._began, self._tenth, self._new, self._failed = time.perf_counter(), 0, 0, 0
-
-    def __call__(self, total: int, done: int, batch: Sequence[RunOutcome]) -> None:
-        tenth, text = PROGRESS_LINES * done // total, ""
-        if batch:
-            self._new += len(batch)
-            self._failed += sum(r.status == Status.FAILED for r in batch)
-            rate = self._new / (time.perf_counter() - self._began)
-            text = f"{rate:.1f} runs/s, {(total - done) / rate:.0f} s left"
-            text += f", {self._failed} failed" if self._failed else ""
-        else:
-            self._began, self._tenth = time.perf_counter(), tenth
-        if self._bar and self._task is not None:
-            self._bar.update(self._task, total=total, completed=done, description=text)
-        elif tenth > self._tenth:
-            self._tenth = tenth
-            self._stream.write(f"{100 * tenth // PROGRESS_LINES} %: {done} of {total} runs, {text}\n")
-            self._stream.flush()
-
-
 @contextmanager
-def progress() -> Iterator[Watch]:
-    """Progress on standard error; a bar disappears at the end."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield StudyProgress(sys.stderr)
-        return
-    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}")
-    with Progress(*columns, console=console, transient=True) as bar:
-        yield StudyProgress(sys.stderr, bar)
+def progress(stream: TextIO | None = None) -> Iterator[Watch]:
+    """A line about the runs on standard error, or on `stream`, while they go on."""
+    began, new, failed = time.perf_counter(), 0, 0
+    line = Doing("starting", stream)
+
+    def watch(total: int, done: int, batch: Sequence[RunOutcome]) -> None:
+        nonlocal began, new, failed
+        began = began if batch else time.perf_counter()
+        new, failed = new + len(batch), failed + sum(r.status == Status.FAILED for r in batch)
+        rate = new / (time.perf_counter() - began)
+        speed = f", {rate:.1f} runs/s, {(total - done) / rate:.0f} s left" if new else ""
+        line.update(f"{done} of {total} runs{speed}{f', {failed} failed' if failed else ''}")
+
+    try:
+        yield watch
+    finally:
+        line.end()
 
 
 def summary(results: store.Results) -> str:

@@ -107,10 +107,11 @@ def test_a_crash_leaves_no_copy_of_the_fmu(oscillators, tmp_path, monkeypatch):
 def test_a_defect_of_the_check_is_not_reported_as_a_fault_of_the_fmu(oscillators, tmp_path):
     """An exception in a task gives a warning that names a defect of the check."""
     subject = opened(oscillators.make(), tmp_path)
-    outcome = probe_process.run(
-        subject.folder, subject.model, "CoSimulation", "shipped_experiment:run", payload={}
-    )
-    assert outcome.remarks == [("warning", "the probe failed (a defect of this check): KeyError('start')")]
+    task = "time_and_state:elsewhere"
+    outcome = probe_process.run(subject.folder, subject.model, "CoSimulation", task, payload={})
+    assert outcome.remarks == [
+        ("warning", "the probe failed (a defect of this check): KeyError('initial_inputs')")
+    ]
     assert outcome.failure == ""
 
 

@@ -81,7 +81,7 @@ def test_a_finding_with_many_places_is_one_line(good: Good, tmp_path: Path) -> N
     (line,) = [line for line in report.text().splitlines() if "unit.undefined" in line]
     assert "v10: unit 'Hz10' is not in UnitDefinitions" in line
     assert "(and 19 more: v11, v12, v13, v14, v15 and 14 more)" in line
-    (found,) = [f for f in json.loads(report.json())["findings"] if f["rule"] == "unit.undefined"]
+    (found,) = [f for f in json.loads(report.report().json())["findings"] if f["rule"] == "unit.undefined"]
     assert len(found["places"]) == 20
     assert "v29: unit 'Hz29'" in found["places"][-1]
 
@@ -92,7 +92,7 @@ def test_different_findings_of_a_rule_are_cut_in_the_text_report(bad: Path) -> N
     report = CheckReport(bad, "", faults)
     assert report.count("error") == 1
     assert f"and {20 - MAX_PRINTED} more of this rule" in report.text()
-    assert len(json.loads(report.json())["findings"]) == 20
+    assert len(json.loads(report.report().json())["findings"]) == 20
 
 
 def test_a_tool_raises_the_severity_of_a_finding(good: Good, tmp_path: Path) -> None:

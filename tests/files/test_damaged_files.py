@@ -25,7 +25,6 @@ from orchestrator import load
 from orchestrator.base import files
 from orchestrator.base.errors import Problem
 from orchestrator.check.checking import DEFECT, check
-from orchestrator.check.ls_ref import FOLDER, cases, parameter_set, table
 from orchestrator.check.subject import open_subject
 from orchestrator.cli.lists import lines
 from orchestrator.drive.view_description import view_description
@@ -41,9 +40,6 @@ OUTER, INNER, START, MAPPING = (
     (HERE / "system" / name).read_text("utf-8")
     for name in ("SystemStructure.ssd", "other.ssd", "start.ssv", "names.ssm")
 )
-# an experiment that an FMU ships, FMI-LS-REF
-REFERENCES = {f"{FOLDER}/{path.name}": path.read_bytes() for path in sorted((HERE / "experiment").iterdir())}
-REFERENCES[f"{FOLDER}/parameters.ssv"] = START.encode()
 Good = Mapping[str, bytes]
 
 
@@ -81,7 +77,6 @@ def good(fmus: Workshop) -> Mapping[str, Good]:
             "terminalsAndIcons/icon.png": icon,
             "binaries/linux64/lag.so": library,
             "sources/lag.c": b"int x;",
-            **REFERENCES,
         },
         "fmi3": {
             DESCRIPTION: XML_3.encode(),
@@ -143,17 +138,6 @@ def read_fmu(path: Path, system: System) -> None:
             work()
 
 
-def shipped(folder: Path) -> None:
-    """The experiments that an FMU ships."""
-    for case in cases(folder)[0]:
-        for file in filter(None, (case.reference, case.stimuli)):
-            with suppress(Problem):
-                table(file)
-        if case.parameters:
-            with suppress(Problem):
-                parameter_set(case.parameters)
-
-
 def read_ssp(path: Path, _: System) -> None:
     """All that reads an SSP before its FMUs are loaded."""
     with suppress(Problem):
@@ -185,7 +169,6 @@ def checked(path: Path) -> None:
     assert all(f.text.isprintable() and len(f.text) < 3000 for f in report.findings)
     report.text()
     with open_subject(path) as subject, suppress(Problem):
-        shipped(subject.folder)
         subject.model.for_run()
 
 

@@ -1,7 +1,6 @@
 """Files are written completely or not at all, whatever stops the work, and by one function."""
 
 import errno
-import json
 import re
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,7 @@ from kit.mistakes import entry, problem
 
 from orchestrator.base.files import put, write_columns, write_rows, write_whole
 from orchestrator.engine.result import read_metadata
-from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, plot, still
+from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, plot
 from orchestrator.pages.html_page import write_json, write_text
 
 ROOT = Path(__file__).parents[2]
@@ -82,5 +81,4 @@ def test_a_figure_of_one_point_in_time_has_axes_around_it(time, window):
     figure = TraceFigure([TracePanel("m", [line])], (time, time) if window else None)
     start, stop = figure.span
     assert start < time < stop
-    assert "nan" not in still(figure, "a")
-    assert json.dumps(str(plot(figure, "a")))
+    assert "nan" not in str(plot(figure, "a")).lower()

@@ -11,18 +11,23 @@ from kit.mistakes import problem, refused, table
 
 from orchestrator import Trace, assemble, run, write_trace
 from orchestrator.__main__ import main
-from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
-from orchestrator.engine.run import open_slave
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.studies.convergence.convergence_study import UNSTABLE, adaptive_table, error_table, failures
-from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
-from orchestrator.studies.convergence.reference_solution import finest_run, from_recording, from_run
-from orchestrator.studies.convergence.runs import (
+from orchestrator.studies.convergence.convergence_report import (
+    UNSTABLE,
+    adaptive_table,
+    draw,
+    error_table,
+    failures,
+)
+from orchestrator.studies.convergence.convergence_study import (
     SETTINGS,
     ConvergenceStudy,
     Setting,
     choose,
+    finest_run,
+    from_recording,
+    from_run,
     rate_inputs,
     run_settings,
 )
@@ -94,24 +99,19 @@ def test_runs_that_fail_are_rows(fmus):
     assert len(rows[0].walls) == 1  # nobody wants to know how long it takes to fail
 
 
-def test_a_master_that_the_fmus_do_not_support_is_a_row(moving, truth):
+def test_a_master_that_the_fmus_do_not_support_is_a_row(fmus):
     """A master that the FMUs do not support is a row; if nothing runs at all, the user made a mistake."""
-    opened = []
-
-    def grudging(component):
-        opened.append(component.name)
-        if len(opened) > 2:
-            raise Problem("no second run")
-        return open_slave(component)
-
-    chosen = choose(["jacobi order 0", "gauss-seidel order 0"])
-    first, second = run_settings(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging)
-    assert first.stable
-    assert second.refusal == "no second run"
-    (failure,) = failures(ConvergenceStudy(truth, (second,)))
-    assert failure == "gauss-seidel order 0: not possible: no second run"
-    again = run_settings(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging)
-    problem(lambda: list(again), "no second run")
+    stuck = fmus.make("drift", "stuck", able={"canHandleVariableCommunicationStepSize": "false"})
+    system = assemble({"s": fmus["source"], "d": stuck}, ["s.y -> d.u"])
+    time = np.arange(101) * 0.01
+    ramp = from_run("ramp", Trace(time, {"d.y": 1 - np.cos(time)}))
+    chosen = choose(["jacobi order 0", "hermite adaptive"])
+    first, *others = run_settings(system, ramp, chosen, (1e-2,), 1, stop=1.0)
+    assert not first.refusal
+    assert len(others) == 4
+    (failure,) = failures(ConvergenceStudy(ramp, tuple(others)))
+    assert failure.startswith("hermite adaptive: not possible: adaptive steps: expected FMUs with"), failure
+    problem(lambda: run_settings(system, ramp, chosen[1:], (1e-2,), 1, stop=1.0), others[0].refusal)
 
 
 def test_adaptive_settings_have_a_table_of_their_own(moving, truth):
@@ -135,8 +135,8 @@ def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving
     every = reference.recording[reference.groups["position"][0]]
     apart = trace["a.x"][::20] - every[::3]
     share = np.sqrt(np.mean(apart**2)) / np.ptp(every)
-    found = {e.signal: e.nrmse for e in row.errors["position"]}
-    assert found["a.x"] == pytest.approx(share, rel=1e-9)  # same numbers but for their digits in the file
+    found = row.errors["position"]["a.x"].nrmse
+    assert found == pytest.approx(share, rel=1e-9)  # same numbers but for their digits in the file
 
 
 def test_the_worst_signal_counts(moving, truth):
@@ -149,7 +149,7 @@ def test_the_worst_signal_counts(moving, truth):
         shares.append(np.sqrt(np.mean(apart**2)) / np.ptp(values))
     assert row.error("position") == pytest.approx(max(shares), rel=1e-12)  # rounding
     signals = {name: 1e3 * values for name, values in truth.recording.items()}
-    small = from_run("exact", Trace(truth.time, signals, dict.fromkeys(signals, "mm")))
+    small = from_run("exact", Trace(truth.recording.time, signals, dict.fromkeys(signals, "mm")))
     (same,) = run_settings(moving, small, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
     assert same.error("position") == pytest.approx(row.error("position"), rel=1e-9)  # rounding
 
@@ -173,7 +173,7 @@ def test_plain_settings_leave_out_rate_connections(fmus):
     ramp = from_run("sum", Trace(time, {"d.y": 1 - np.cos(time)}))
     chosen = choose(["jacobi plain", "jacobi order 0"])
     plain, wired = run_settings(system, ramp, chosen, (0.01,), 1, stop=1.0)
-    lost = {row.setting.label: row.maximum("without unit").maximum for row in (plain, wired)}
+    lost = {row.setting.label: row.errors["without unit"]["d.y"].maximum_error for row in (plain, wired)}
     # held inputs lose h/2 sin t, and the rate, which is a sine too, adds h/2 (1 - cos t); the rest is h^2
     assert lost["jacobi plain"] == pytest.approx(0.5e-2 * np.sin(1), rel=2e-2)
     assert lost["jacobi order 0"] == pytest.approx(0.5e-2 * (np.sqrt(2) - 1), rel=2e-2)
@@ -206,7 +206,7 @@ def test_without_a_reference_the_finest_hermite_run_takes_its_place(capsys):
     options = ["two.ssp", "--steps", "0.01", "--masters", "jacobi order 0", "--signals", "*.x"]
     assert main(["convergence", *options]) == 0
     assert "no reference for this run: hermite at 5 ms, half the smallest step" in capsys.readouterr().out
-    own = numbers()["runs"][0]["errors"]["position"]["signals"]["a.x"]["nrmse"]
+    own = numbers()["runs"][0]["errors"]["*.x"]["signals"]["a.x"]["nrmse"]
     assert main(["convergence", *options, "--reference", "exact.csv"]) == 0
     known = numbers()["runs"][0]["errors"]["*.x"]["signals"]["a.x"]["nrmse"]
     # hermite at 5 ms is off by less than 1e-4 of the range, jacobi by 0.1; the instants differ
@@ -236,10 +236,9 @@ def test_figures_label_every_curve(moving):
     solution = finest_run(moving, ["b.x", "b.v"], (5e-2,), stop=1.0)
     rows = run_settings(moving, solution, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, stop=1.0)
     found = ConvergenceStudy(solution, tuple(rows))
-    for group in ("position", "velocity"):
-        for figure in (draw_error(found, group), draw_work_precision(found, group)):
-            (axes,) = figure.axes
-            named = " ".join(text.get_text() for text in axes.texts)
+    for group in solution.groups:
+        for figure in (draw(found, group), draw(found, group, over_cost=True)):
+            named = " ".join(text.get_text() for text in figure.legends[0].get_texts())
             assert all(f"order {n}" in named for n in range(3))
             assert "to tolerance" in named
-        assert [line for line in draw_error(found, group).axes[0].lines if line.get_marker() == "x"]
+        assert [line for line in draw(found, group).axes[0].lines if line.get_marker() == "x"]

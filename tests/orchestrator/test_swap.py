@@ -248,7 +248,7 @@ def test_a_swapped_system_is_expected_to_differ_from_a_simulation():
         told = validated(swap={"g": "fine"}, stop=1.0)
         assert (f"note: {note}" in told) is expected
         page = Path("out/report.html").read_text(encoding="utf-8")
-        assert (f"<p>G{note[1:]}.</p>" in page) is expected
+        assert (f">G{note[1:]}.</p>" in page) is expected
         assert "a simulation of the same equations" not in page
 
 

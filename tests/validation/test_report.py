@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -25,13 +26,7 @@ from orchestrator.pages.figures import VENDOR
 from orchestrator.pages.plotting import decimate, png, svg
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.validation import Validation, validate
-from orchestrator.results.validation_report import (
-    Report,
-    ReportedComponent,
-    ReportedParameter,
-    draw,
-    write_report,
-)
+from orchestrator.results.validation_report import draw, validation_report
 
 VOID = {"meta", "link", "br", "wbr", "input", "img"}
 
@@ -60,42 +55,52 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
+Written = Callable[..., tuple[str, dict[str, Any]]]
+
+
 @pytest.fixture(scope="module")
-def report(outcome: Validation, trace: Trace) -> Report:
+def contents(outcome: Validation, trace: Trace) -> dict[str, Any]:
     """A report with everything in it."""
     rows = PanelSpec("Command", ("pump.command",)), PanelSpec("Angle", ("shaft.angle",))
     pressure = (PanelSpec("Pressure", ("pump.pressure",)),)
-    return Report(
-        "Shaft & pump",
-        outcome,
-        figures=(FigureSpec("Shaft", rows), FigureSpec("Pump", pressure, caption="Taken at the <port>.")),
-        trace=trace,
-        facts={"system": "shaft.ssp", "communication step [s]": 1e-3, "stopped early": False},
-        components=(ReportedComponent("pump", "pump.fmu", version="1.2", guid="{1-2-3}", fmi="2.0"),),
-        parameters=(
-            ReportedParameter("pump", "volume", 1.5e-3, "m3", "Dead volume", "assumed", changed=True),
-        ),
-        card={"real-time factor": np.float64(31.25), "energy residual [J]": {"shaft": 1e-3}, "order": None},
-        machine=Markup("<p>machine</p>"),
-        warnings=("pump: pressure above 300 bar at 1.2 s",),
-    )
+    pump = {"name": "pump", "file": "pump.fmu", "version": "1.2", "guid": "{1-2-3}", "fmi": "2.0"}
+    volume = {"component": "pump", "name": "volume", "value": 1.5e-3, "unit": "m3", "text": "Dead volume"}
+    return {
+        "title": "Shaft & pump",
+        "validation": outcome,
+        "figures": (FigureSpec("Shaft", rows), FigureSpec("Pump", pressure, caption="Taken at the <port>.")),
+        "trace": trace,
+        "facts": {"system": "shaft.ssp", "communication step [s]": 1e-3, "stopped early": False},
+        "components": (pump,),
+        "parameters": (volume | {"source": "assumed", "changed": True},),
+        "card": {
+            "real-time factor": np.float64(31.25),
+            "energy residual [J]": {"shaft": 1e-3},
+            "order": None,
+        },
+        "machine": Markup("<p>machine</p>"),
+        "warnings": ("pump: pressure above 300 bar at 1.2 s",),
+    }
 
 
 @pytest.fixture(scope="module")
-def files(report: Report, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """The written HTML and JSON."""
-    return write_report(tmp_path_factory.mktemp("report") / "out" / "report.html", report)
+def files(contents: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> Written:
+    """The HTML and the JSON of a report that differs from it."""
+
+    def write(**other: Any) -> tuple[str, dict[str, Any]]:
+        folder = tmp_path_factory.mktemp("report")
+        files = validation_report(**contents | other).write(folder / "out" / "report.html")
+        assert [file.name for file in files] == ["report.html", "report.json"]
+        html, numbers = (file.read_text(encoding="utf-8") for file in files)
+        return html, json.loads(numbers)
+
+    return write
 
 
 @pytest.fixture(scope="module")
-def page(files: tuple[Path, Path]) -> str:
+def page(files: Written) -> str:
     """The written HTML."""
-    return files[0].read_text(encoding="utf-8")
-
-
-def written(folder: Path, report: Report) -> str:
-    """The HTML of another report."""
-    return write_report(folder / "report.html", report)[0].read_text(encoding="utf-8")
+    return files()[0]
 
 
 def test_is_one_file_that_needs_no_network(page: str) -> None:
@@ -110,9 +115,9 @@ def test_is_one_file_that_needs_no_network(page: str) -> None:
     assert not re.search(r"https?:|//\w+\.\w+|@import|url\((?!#)", page.replace(library, ""))
 
 
-def test_shows_what_ran_and_how_well(page: str, report: Report) -> None:
+def test_shows_what_ran_and_how_well(page: str, outcome: Validation) -> None:
     """Signals, units, limits, facts, FMUs, parameters, card and warnings are all in the text."""
-    expected = [row.signal for row in report.validation.rows]
+    expected = [row.signal for row in outcome.rows]
     expected += ["Shaft &amp; pump", "✓ pass", "max. error ≤ 2 bar", "NRMSE ≤ 1 %", "Shaft &lt;angle&gt;"]
     expected += ["shaft.ssp", "{1-2-3}", "Dead volume", "1 changed for this run", "31.25", "0.001"]
     expected += ["pressure above 300 bar", "Taken at the &lt;port&gt;.", "compared at the 201 samples"]
@@ -120,80 +125,94 @@ def test_shows_what_ran_and_how_well(page: str, report: Report) -> None:
     assert [one for one in expected if one.lower() not in text] == []
 
 
-def test_json_has_the_same_numbers(report: Report, files: tuple[Path, Path]) -> None:
+def test_the_page_answers_first(page: str) -> None:
+    """Verdict, the signal that uses most of its limit, and the machine are above all sections."""
+    head = page[page.index("<header>") : page.index("</header>")]
+    order = [
+        "✓ pass",
+        "Pass: 2 of 2 signals",
+        "Worst signal: pump.<wbr>pressure",
+        "Uses 50",
+        "<p>machine</p>",
+    ]
+    places = [head.index(text) for text in order]
+    assert places == sorted(places)
+    for title in ("Signals", "Run", "Reference"):
+        assert f'<details class="folded"><summary><h2>{title}</h2>' in page
+
+
+def test_json_has_the_same_numbers(files: Written, contents: dict[str, Any]) -> None:
     """report.json holds the exact numbers of the comparison and everything that was handed in."""
-    path = files[1]
-    data = json.loads(path.read_text(encoding="utf-8"))
-    assert path.name == "report.json"
+    (_, data), validation = files(), contents["validation"]
+    assert list(data)[:3] == ["title", "verdict", "passed"]  # as of every command
     assert data["passed"] is True
-    assert data["verdict"] == report.validation.verdict
-    for row, stored in zip(report.validation.rows, data["signals"], strict=True):
+    assert data["verdict"] == validation.verdict
+    for row, stored in zip(validation.rows, data["signals"], strict=True):
         assert (stored["signal"], stored["unit"], stored["passed"]) == (row.signal, row.unit, row.passed)
         for name in ("rmse", "nrmse", "fit", "maximum_error", "vaf"):
             assert stored["metrics"][name] == getattr(row.metrics, name)
         assert stored["metrics"]["iso"]["reason"] == "not requested"
     assert data["signals"][1]["tolerance"]["limit"] == 2e5
-    assert data["accuracy"] == report.card  # a number of NumPy is one
+    assert data["accuracy"] == contents["card"]  # a number of NumPy is one
     assert data["parameters"][0]["value"] == 1.5e-3
     assert data["reference"]["file"] == "ref.csv"
 
 
-def test_a_missed_limit_is_plain_to_see(report: Report, edited: Edit, trace: Trace, tmp_path: Path) -> None:
+def test_a_missed_limit_is_plain_to_see(edited: Edit, trace: Trace, files: Written) -> None:
     """A failed run says so at the top, in the table and in the figure, in words and not by colour alone."""
     failed = validate(trace, read_recording(edited("limit = 2.0", "limit = 0.9")), rate=False)
-    page = written(tmp_path, replace(report, validation=failed))
+    page, data = files(validation=failed)
     expected = ["✗ fail", "1 of 2 signals within their limits", "✗ 1 bar"]
-    expected += ['<span class="mark fail">fail</span>']
+    expected += ['<span class="mark fail">fail</span>', "Uses 111.2 % of its limit"]
     assert [text for text in expected if text not in page] == []
-    assert json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["passed"] is False
+    assert data["passed"] is False
 
 
-def test_a_simulated_reference_is_told_as_one(page: str, report: Report, tmp_path: Path) -> None:
+def test_a_simulated_reference_is_told_as_one(page: str, outcome: Validation, files: Written) -> None:
     """What a pass means, only where the reference is a simulation; notes and warnings follow the machine."""
     line = "Reference: a simulation of the same equations."
     assert line not in page  # a measurement
-    simulated = replace(report.validation, about={**report.validation.about, "kind": "simulation"})
-    noted = replace(report, validation=simulated, notes=("no --scenario given",), figures=())
-    other = written(tmp_path, noted)
+    simulated = replace(outcome, about={**outcome.about, "kind": "simulation"})
+    other, data = files(validation=simulated, notes=("no --scenario given",), figures=())
     assert line in other
     assert "No --scenario given." in other
     assert other.index('id="motion"') < other.index("Warnings of the run")
-    assert "no --scenario given" in json.loads((tmp_path / "report.json").read_text("utf-8"))["notes"]
+    assert "no --scenario given" in data["notes"]
 
 
-def test_least_report(outcome: Validation, tmp_path: Path) -> None:
+def test_least_report(outcome: Validation) -> None:
     """A comparison alone makes a report: no figures, machine, parameters or card are needed."""
-    page = written(tmp_path, Report("Bare", outcome))
+    page = validation_report("Bare", outcome).html()
     assert "<code>shaft.<wbr>angle</code>" in page, "a name that may break after its dot"
-    assert "<script" not in page
+    assert all(f'id="{name}"' not in page for name in ("motion", "parameters", "warnings-of-the-run"))
 
 
-def test_stays_small_for_a_long_run(report: Report, tmp_path: Path) -> None:
+def test_stays_small_for_a_long_run(outcome: Validation) -> None:
     """Three actuators over 60 s at 1 ms, every sample noisy, stay under 3 MB."""
     t = np.arange(60_001) * 1e-3
     noise = np.random.default_rng(0).standard_normal((2, len(t)))
-    row = replace(report.validation.rows[0], time=t, simulation=noise[0], reference=noise[1])
+    row = replace(outcome.rows[0], time=t, simulation=noise[0], reference=noise[1])
     rows = tuple(replace(row, signal=f"s{k}") for k in range(15))
     panels = [PanelSpec(f"Row {k % 5}", (f"s{k}",)) for k in range(15)]
     specs = [FigureSpec(f"Figure {n}", tuple(panels[5 * n : 5 * n + 5])) for n in range(3)]
-    outcome = replace(report.validation, rows=rows, window=(0.0, 60.0))
-    big = Report("Long", outcome, figures=specs)
-    assert write_report(tmp_path / "report.html", big)[0].stat().st_size < 3e6
+    outcome = replace(outcome, rows=rows, window=(0.0, 60.0))
+    assert len(validation_report("Long", outcome, figures=specs).html()) < 3e6
 
 
 @shards.browser
-def test_no_column_is_cut_off_in_a_browser(report: Report, tmp_path: Path, chromium: Any) -> None:
+def test_no_column_is_cut_off_in_a_browser(outcome: Validation, tmp_path: Path, chromium: Any) -> None:
     """At 1100 pixels the table of the longest names of the machine fits; a narrower window scrolls it."""
     names = ("boom_stick.boom_head_pressure", "boom_stick.stick_head_pressure")
     rows = tuple(
         replace(row, signal=name, label="Stick head pressure")
-        for row, name in zip(report.validation.rows, names, strict=True)
+        for row, name in zip(outcome.rows, names, strict=True)
     )
-    html, _ = write_report(tmp_path / "wide.html", Report("", replace(report.validation, rows=rows)))
+    html, _ = validation_report("", replace(outcome, rows=rows)).write(tmp_path / "wide.html")
     hidden = "[...document.querySelectorAll('.wide')].map(w => w.scrollWidth - w.clientWidth)"
     for width, fits in ((1100, True), (500, False)):
         page = chromium.new_page(viewport={"width": width, "height": 800})
         page.goto(html.as_uri())
+        page.evaluate("document.querySelectorAll('details').forEach(d => d.open = true)")
         assert (max(page.evaluate(hidden)) <= 0) == fits
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.close()

@@ -1,28 +1,24 @@
 """The outcome in the terminal."""
 
 from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from kit.mistakes import table
-from rich.console import Console
 from validation.conftest import Edit
 
 from orchestrator.base.text import number
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.summary import Summary, limit_share, miss_text, percent
 from orchestrator.results.validation import Validation, validate
+from orchestrator.results.validation_report import limit_share, miss_text, percent, summary
 
 
-def shown(outcome: Validation, width: int = 80) -> list[str]:
-    """The summary as lines of plain text."""
-    console = Console(width=width, file=StringIO())
-    console.print(Summary(outcome))
-    return console.file.getvalue().splitlines()  # type: ignore[attr-defined,no-any-return]
+def shown(outcome: Validation) -> list[str]:
+    """The summary as lines."""
+    return summary(outcome).splitlines()
 
 
 def line(lines: list[str], start: str) -> list[str]:

@@ -28,7 +28,7 @@ from orchestrator import reference as monolithic
 from orchestrator import run as orchestrate
 from orchestrator.data.recording import read_recording
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.studies.convergence.runs import choose
+from orchestrator.studies.convergence.convergence_study import choose
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"

@@ -1,6 +1,6 @@
-// Plots that can be zoomed, drawn by uPlot from the data that figures.py has packed. Each stands in the place of
-// a still picture, which print and browsers without scripts show. Everything works by keys: the toolbar has
-// buttons for zoom and for each curve, and a slider that reads the values at a time.
+// Plots that can be zoomed, drawn by uPlot from the data that figures.py has packed, on the screen and in print.
+// Everything works by keys: the toolbar has buttons for zoom and for each curve, and a slider that reads the
+// values at a time.
 (() => {
   "use strict";
   const DIGITS = 20; // bits of a value, as in figures.py
@@ -10,7 +10,7 @@
   const SUPERSCRIPT = "⁰¹²³⁴⁵⁶⁷⁸⁹";
   const FONT = '11px system-ui, "Segoe UI", sans-serif';
   const root = document.documentElement;
-  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const [dark, print] = ["(prefers-color-scheme: dark)", "print"].map((query) => matchMedia(query));
   const colour = (name) => (name.startsWith("#") ? name : getComputedStyle(root).getPropertyValue(`--fig-${name}`));
 
   async function unpack({ columns, data }) {
@@ -46,7 +46,7 @@
     return (power ? `${Number(mantissa)}·10${raised}` : mantissa).replace("-", "−");
   }
 
-  // two to `count` round values from low to high, as tick_labels in figures.py
+  // two to `count` round values from low to high
   function splits(low, high, count) {
     const size = 10 ** Math.floor(Math.log10((high - low) / count));
     const within = [1, 2, 2.5, 5, 10].map((m) => [m * size, Math.ceil(low / (m * size) - 1e-9), Math.floor(high / (m * size) + 1e-9)]);
@@ -77,15 +77,15 @@
     constructor(host, spec, columns) {
       [this.spec, this.charts, this.off, this.whole] = [spec, [], new Set(), spec.window];
       this.range = [...this.whole];
-      this.still = host.querySelector(".still");
+      this.name = host.getAttribute("aria-label");
       this.live = element("div", host, { class: "live" });
-      host.insertBefore(this.live, this.still.nextSibling);
-      this.toolbar(host.getAttribute("aria-label"));
+      host.insertBefore(this.live, host.firstChild);
+      this.toolbar(this.name);
       spec.charts.forEach((chart, k) => this.chart(chart, columns, k === spec.charts.length - 1));
       if (spec.below) element("p", this.live, { class: "soft below" }, spec.below);
       host.classList.add("drawn");
       new ResizeObserver(() => this.fit()).observe(this.live);
-      dark.addEventListener("change", () => this.charts.forEach(({ plot }) => plot.redraw(false)));
+      for (const media of [dark, print]) media.addEventListener("change", () => this.charts.forEach(({ plot }) => plot.redraw(false)));
       this.read(null);
     }
 
@@ -163,7 +163,7 @@
         padding: [6, 8, last ? 0 : 6, 0],
         legend: { show: false },
         cursor: {
-          sync: { key: this.still.getAttribute("aria-label"), setSeries: false, scales: ["x", null] },
+          sync: { key: this.name, setSeries: false, scales: ["x", null] },
           drag: { x: true, y: false, setScale: false },
           y: false,
           bind: { dblclick: () => () => this.zoom(...this.whole) },
@@ -187,7 +187,8 @@
     limits(chart, low, high) {
       if (low === null || !Number.isFinite(low)) return [-1, 1];
       const margin = MARGIN * (high - low) || 0.1 * Math.abs(high) || 1;
-      const end = Math.max(Math.abs(low), Math.abs(high)) + margin;
+      const largest = chart.whole ? 1.2 * Math.max(0, ...chart.bounds) : 0;
+      const end = Math.max(Math.abs(low) + margin, Math.abs(high) + margin, largest);
       return chart.strip ? [-end, end] : [low - margin, high + margin];
     }
 
@@ -249,14 +250,25 @@
     }
   }
 
-  // drawn when it comes near the window: a page may have many
-  const near = new IntersectionObserver(
-    (entries) => entries.filter((entry) => entry.isIntersecting).forEach(async ({ target }) => {
-      near.unobserve(target);
-      const spec = JSON.parse(target.querySelector("script").textContent);
-      target.plot = new Plot(target, spec, await unpack(spec));
-    }),
-    { rootMargin: "800px" },
-  );
-  if (typeof DecompressionStream === "function") document.querySelectorAll(".plot").forEach((host) => near.observe(host));
+  async function draw(target) {
+    if (target.begun) return;
+    target.begun = true;
+    const spec = JSON.parse(target.querySelector("script").textContent);
+    target.plot = new Plot(target, spec, await unpack(spec));
+  }
+
+  // those near the window first, because a page may have many; the others, for print, as soon as there is time
+  const near = new IntersectionObserver((entries) => entries.forEach((entry) => entry.isIntersecting && draw(entry.target)), { rootMargin: "800px" });
+  const later = window.requestIdleCallback ?? ((act) => setTimeout(act, 200));
+  if (typeof DecompressionStream === "function") {
+    const hosts = [...document.querySelectorAll(".plot")];
+    hosts.forEach((host) => near.observe(host));
+    const next = async () => {
+      const host = hosts.shift();
+      if (!host) return;
+      if (host.checkVisibility?.() !== false) await draw(host); // a folded one has no width
+      later(next);
+    };
+    later(next);
+  }
 })();

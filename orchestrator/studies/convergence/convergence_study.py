@@ -1,47 +1,429 @@
-"""`harvester convergence`: choose settings, steps and reference, run, make tables, write files.
+"""`harvester convergence`: all settings at all steps, with their errors against a reference and their cost.
 
-The tables have a row for each setting and a column for each communication step.
+The reference is a recording, or a run that is finer than all others. Its samples are often far apart. A run
+is compared at common instants only, because linear interpolation between samples would be less accurate than
+a good master.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from math import isfinite
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from math import isfinite, log
 from pathlib import Path
+from statistics import median
 from typing import Any, Unpack
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+import numpy as np
+from numpy.typing import NDArray
 
-from orchestrator.base.errors import Problem
-from orchestrator.base.files import make_folder, require_system, write_rows, write_whole
+from orchestrator.base.errors import Problem, UnknownSignal, suggest
+from orchestrator.base.files import make_folder, require_system
 from orchestrator.base.options import checked, seconds, taken
-from orchestrator.base.text import TextTable, error_display_unit
-from orchestrator.base.units import factor_and_offset
-from orchestrator.data.recording import read_recording
-from orchestrator.engine.arguments import CaseArguments
-from orchestrator.pages.html_page import json_values, write_json
-from orchestrator.pages.plotting import png
+from orchestrator.base.progress import doing
+from orchestrator.base.signals import matching, span
+from orchestrator.base.text import grouped
+from orchestrator.base.units import convert, quantity
+from orchestrator.data.recording import Recording, read_recording
+from orchestrator.data.table import Array
+from orchestrator.data.trace import SAME_TIME, Trace, rounding
+from orchestrator.engine.arguments import CaseArguments, RunArguments
+from orchestrator.engine.job import Job
+from orchestrator.engine.result import widest_of_unit
+from orchestrator.engine.run import run
+from orchestrator.engine.scenario import ScenarioSource
+from orchestrator.lanes.group import Status
+from orchestrator.lanes.many import Runs, in_threads
+from orchestrator.results.metrics import AT_REST, HUGE, Metrics, measure
 from orchestrator.results.validate_system import another_model
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.load import configured
-from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
-from orchestrator.studies.convergence.reference_solution import default_signals, finest_run, from_recording
-from orchestrator.studies.convergence.runs import (
-    ConvergenceStudy,
-    SettingRun,
-    choose,
-    rate_inputs,
-    run_settings,
+from orchestrator.ssp.masters import MASTERS
+from orchestrator.ssp.swap import used_ports
+from orchestrator.ssp.system import System
+
+UNSTABLE_ERROR = 1.0  # relative to the range of a signal: a run with a larger error is unstable
+ROUNDING = 1e-12  # NRMSE below which rounding errors hide the order of convergence
+MOST_INSTANTS = 200  # at which an adaptive run is compared: a step has to end at each of them
+FEWEST_INSTANTS = 10  # in common, for a root mean square
+DEFAULT_QUANTITIES = ("speed", "pressure")  # compared if the user names no signals
+FINEST = Coupling("hermite", passes=20, tolerance=1e-9)
+OTHER_RUN = ("parameters", "set", "swap")  # options with which the default reference does not fit
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
+EXTRAPOLATING = tuple(master.name for master in MASTERS.values() if not master.guarded)
+
+
+# ---- the ways of coupling that are compared
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way of coupling.
+
+    without_rates  without the connections of rate ports: what a textbook master would get
+    cases          for masters with adaptive step size: couplings by name, such as one per tolerance; they are
+                   compared instead of steps
+    """
+
+    label: str
+    coupling: Coupling
+    without_rates: bool = False
+    cases: Mapping[str, Coupling] = field(default_factory=dict)
+
+    @property
+    def family(self) -> str:
+        """The settings that are drawn in one colour."""
+        return "plain" if self.without_rates else "adaptive" if self.cases else self.coupling.method.name
+
+    def matches(self, pattern: str) -> bool:
+        """Is the pattern the name of the master, or does the label match it?"""
+        return pattern == self.coupling.method.name or fnmatchcase(self.label, pattern)
+
+
+SETTINGS = (
+    *(Setting(f"{master} plain", Coupling(master, 0), without_rates=True) for master in EXTRAPOLATING),
+    *(Setting(f"{m} order {order}", Coupling(m, order)) for m in EXTRAPOLATING for order in range(3)),
+    Setting("hermite 1 pass", Coupling("hermite", passes=1, guard=0)),  # the same as gauss-seidel of order 3
+    Setting("hermite 2 passes", Coupling("hermite", passes=2, guard=0)),
+    Setting("hermite to tolerance", Coupling("hermite", guard=0)),
+    Setting("hermite", Coupling("hermite")),
+    Setting("interface-jacobian unguarded", Coupling("interface-jacobian", guard=0)),
+    Setting("interface-jacobian", Coupling("interface-jacobian")),
+    Setting(
+        "hermite adaptive",
+        Coupling("hermite"),
+        cases={f"{tolerance:.0e}": Coupling("hermite", adaptive=tolerance) for tolerance in TOLERANCES},
+    ),
 )
 
-UNSTABLE = "unstable"
-REFUSED = "not possible"
-EMPHASISED = (UNSTABLE, REFUSED)
-ORDER_NOTE = "number after an error: observed order of convergence against the next smaller step"
+
+def choose(patterns: Iterable[str]) -> tuple[Setting, ...]:
+    """The settings that match: names of masters, labels or patterns of labels; all without patterns."""
+    requested = tuple(patterns)
+    for pattern in requested:
+        if not any(setting.matches(pattern) for setting in SETTINGS):
+            names = [*MASTERS, *(setting.label for setting in SETTINGS)]
+            near = suggest(pattern, names) or f"; there are {', '.join(names)}"
+            raise Problem(f"masters {pattern}: no setting of that name{near}")
+    return tuple(s for s in SETTINGS if not requested or any(s.matches(pattern) for pattern in requested))
 
 
-OTHER_RUN = ("parameters", "set", "swap")  # options with which the default reference does not fit
-DPI = 110
+def rate_inputs(system: System) -> tuple[str, ...]:
+    """The connected inputs that are derivatives of others: they carry no power, and are optional."""
+    return tuple(
+        f"{component.name}.{name}"
+        for component in system.components.values()
+        for name, port in used_ports(system, component).items()
+        if port.optional and port.connections and port.declared.causality == "input"
+    )
+
+
+# ---- what they are compared with
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The solution that runs are compared with.
+
+    recording   its signals, without gaps; its criteria have the range of each signal
+    groups      group -> its signals, which share a table
+    """
+
+    recording: Recording
+    groups: Mapping[str, Sequence[str]]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """The title of the recording."""
+        return self.recording.heading
+
+    @property
+    def names(self) -> list[str]:
+        """All signals."""
+        return list(dict.fromkeys(name for names in self.groups.values() for name in names))
+
+    def check(self, system: System, start: float, stop: float | None, steps: Iterable[float]) -> None:
+        """Raise Problem if the system lacks a signal, or a step has too few instants in common."""
+        for name in self.names:
+            if name not in system.outputs and name not in system.names():
+                raise UnknownSignal(name, [*system.outputs, *system.names()], f"{self.title}: ")
+        time = self.recording.time
+        last = time[-1] if stop is None else min(stop, time[-1])
+        for step in steps:
+            points: Array = start + step * np.arange(int((last - start) / step + SAME_TIME) + 1.0)
+            if (count := len(_common_instants(points, time, step)[0])) < FEWEST_INSTANTS:
+                expected = f"{FEWEST_INSTANTS} or more instants in common with {self.title}"
+                raise Problem(f"step {step:g} s: expected {expected}, got {count}")
+
+    def adaptive_record_step(self, start: float) -> float:
+        """Record step [s] of a run with adaptive step size: steps have to end at these instants."""
+        time = self.recording.time
+        intervals, duration = len(time) - 1, time[-1] - time[0]
+        offset = (start - time[0]) * intervals / duration
+        equal = np.ptp(np.diff(time)) < SAME_TIME * duration
+        if not equal or abs(offset - round(offset)) > SAME_TIME:
+            raise Problem(f"{self.title}: expected equally spaced samples from {start:g} s on")
+        return float(duration * max(intervals // MOST_INSTANTS, 1) / intervals)
+
+    def errors(self, trace: Trace, step: float) -> dict[str, dict[str, Metrics]]:
+        """Group -> signal -> its errors in the unit of the reference, the largest NRMSE first."""
+        time = self.recording.time
+        in_run, here = _common_instants(trace.time, time, step)
+
+        def error(name: str) -> Metrics:
+            unit, size = self.recording.units[name], self.recording.criterion(name).span
+            # an unstable run may grow beyond all bounds
+            values = np.clip(trace[name][in_run], -HUGE / 2, HUGE / 2)
+            values = convert(values, trace.units.get(name, unit), unit, name)
+            expected = self.recording[name][here]
+            return measure(time[here], values, expected, span=size, rate=False, where=name)
+
+        errors = {name: error(name) for name in self.names}
+        return {
+            group: {n: errors[n] for n in sorted(names, key=lambda n: -(errors[n].nrmse or 0.0))}
+            for group, names in self.groups.items()
+        }
+
+
+def _common_instants(run: Array, reference: Array, step: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the common instants, in the run and in the reference."""
+    margin = rounding(reference, step)
+    nearest = np.minimum(np.searchsorted(run, reference - margin), len(run) - 1)
+    common = np.flatnonzero(np.abs(run[nearest] - reference) <= margin)
+    return nearest[common], common
+
+
+def from_recording(recording: Recording, patterns: Sequence[str] = ()) -> Reference:
+    """The signals of a recording that match a pattern; default: its speeds and pressures, else all."""
+    for name, values in recording.items():
+        if np.isnan(values).any():
+            raise Problem(f"{recording.source}: {name}: expected a value at each time, got a gap")
+    if patterns:
+        return _without_rest(recording, {p: _matching(p, recording) for p in patterns})
+    groups = grouped(recording, lambda n: recording.criterion(n).group or quantity(recording.units[n]))
+    return _without_rest(recording, {g: groups[g] for g in DEFAULT_QUANTITIES if g in groups} or groups)
+
+
+def from_run(title: str, trace: Trace, patterns: Sequence[str] = ()) -> Reference:
+    """The same of a run."""
+    units = {name: trace.units.get(name, "") for name in trace}
+    recording = Recording(trace.time, trace.signals, units, metadata={"title": title})
+    return from_recording(recording, patterns)
+
+
+def finest_run(
+    system: System,
+    patterns: Sequence[str],
+    steps: Sequence[float],
+    scenario: ScenarioSource = None,
+    **options: Unpack[CaseArguments],
+) -> Reference:
+    """The solution if there is no recording: the outputs of `hermite` with half the smallest step."""
+    outputs = [str(port) for port in system.ports("output") if system.variable(port).is_real]
+    for pattern in patterns:
+        _matching(pattern, outputs)
+    step = min(steps) / 2
+    result = run(system, scenario, master=FINEST, step=step, record=outputs, **options)
+    return from_run(f"hermite at {milliseconds(step)}", result.trace, patterns)
+
+
+def _matching(pattern: str, names: Iterable[str]) -> list[str]:
+    signals = list(names)
+    if not (matches := matching(signals, pattern)):
+        near = suggest(pattern, signals) or f"; there are {', '.join(signals[:6]) or 'none'}"
+        raise Problem(f"signals {pattern}: no signal matches{near}")
+    return matches
+
+
+def _without_rest(recording: Recording, groups: Mapping[str, Sequence[str]]) -> Reference:
+    """The groups without signals at rest: they have no range, alone or next to others of their unit."""
+    ranges = {name: span(recording[name]) for names in groups.values() for name in names}
+    widest = widest_of_unit(ranges, recording.units)
+    at_rest = [name for name, size in ranges.items() if size <= AT_REST * widest[name]]
+    moving = {group: [name for name in names if name not in at_rest] for group, names in groups.items()}
+    moving = {group: names for group, names in moving.items() if names}
+    if not moving:
+        got = ", ".join(at_rest) or "none"
+        raise Problem(f"{recording.heading}: expected signals that move, got {got}")
+    given = {name: recording.criterion(name) for name in ranges}
+    criteria = {n: replace(criterion, span=criterion.span or ranges[n]) for n, criterion in given.items()}
+    notes = (f"not compared, at rest: {', '.join(at_rest)}",) if at_rest else ()
+    return Reference(replace(recording, criteria=criteria), moving, notes)
+
+
+# ---- the runs
+
+
+@dataclass(frozen=True)
+class SettingRun:
+    """The run of one setting at one step. Times in [s].
+
+    step     communication step; of an adaptive run the first one to try
+    case     of an adaptive run: its name in `Setting.cases`
+    errors   group -> signal -> its errors, the largest first; empty if the run ended early or was refused
+    steps    number of communication steps
+    walls    wall times, one for each repetition of the run
+    failure  why the run ended early; empty if it did not
+    refusal  why there was no run: what the FMUs lack for this master
+    """
+
+    setting: Setting
+    step: float
+    case: str = ""
+    errors: Mapping[str, Mapping[str, Metrics]] = field(default_factory=dict)
+    steps: int = 0
+    simulated: float = 0.0
+    walls: tuple[float, ...] = ()
+    failure: str = ""
+    refusal: str = ""
+
+    @property
+    def coupling(self) -> Coupling:
+        """The coupling of the run."""
+        return self.setting.cases.get(self.case, self.setting.coupling)
+
+    @property
+    def at(self) -> str:
+        """The case, or the step."""
+        return self.case or milliseconds(self.step)
+
+    @property
+    def mean_step(self) -> float:
+        """Simulated time over number of steps [s]; `step` if there was none."""
+        return self.simulated / self.steps if self.steps else self.step
+
+    @property
+    def wall(self) -> float:
+        """Median over the repetitions [s]."""
+        return median(self.walls) if self.walls else float("nan")
+
+    @property
+    def cost(self) -> float:
+        """Wall time over simulated time."""
+        return self.wall / self.simulated if self.simulated else float("nan")
+
+    @property
+    def stable(self) -> bool:
+        """The run came to the end, and no error was ever larger than the range of its signal."""
+        errors = [e for group in self.errors.values() for e in group.values()]
+        return bool(errors) and all(e.maximum_error < UNSTABLE_ERROR * e.normalised_by for e in errors)
+
+    def error(self, group: str) -> float:
+        """NRMSE of the worst signal of a group."""
+        return next(iter(self.errors[group].values())).nrmse or 0.0
+
+
+@dataclass(frozen=True)
+class ConvergenceStudy:
+    """All runs of a study, by setting with increasing steps."""
+
+    reference: Reference
+    runs: tuple[SettingRun, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def steps(self) -> list[float]:
+        """The communication steps of the study [s], the smallest first."""
+        return sorted({r.step for r in self.runs if not r.case})
+
+    @property
+    def settings(self) -> list[list[SettingRun]]:
+        """The runs of each setting, the smallest step first."""
+        by_label = grouped(self.runs, lambda run: run.setting.label).values()
+        return [sorted(runs, key=lambda r: r.mean_step if r.case else r.step) for runs in by_label]
+
+    def order(self, setting_run: SettingRun, group: str) -> float | None:
+        """Observed order of convergence against the next smaller step; None unless both runs are stable."""
+        label, step = setting_run.setting.label, setting_run.step
+        finer = [r for r in self.runs if r.setting.label == label and r.step < step]
+        next_finer = max(finer, key=lambda r: r.step, default=None)
+        if next_finer is None or not (next_finer.stable and setting_run.stable):
+            return None
+        small, large = next_finer.error(group), setting_run.error(group)
+        if min(small, large) < ROUNDING:
+            return None
+        return log(large / small) / log(setting_run.mean_step / next_finer.mean_step)
+
+
+def milliseconds(step: float) -> str:
+    """A step [s] as text in milliseconds."""
+    return f"{1e3 * step:g} ms"
+
+
+def run_settings(
+    system: System,
+    reference: Reference,
+    settings: Sequence[Setting],
+    steps: Sequence[float],
+    repeats: int = 3,
+    rates: Sequence[str] | None = None,
+    scenario: ScenarioSource = None,
+    done: list[SettingRun] | None = None,
+    **options: Unpack[RunArguments],
+) -> list[SettingRun]:
+    """Run every setting at every step, one after the other, so that their times can be compared.
+
+    repeats  how often a stable run is repeated; its wall time is the median
+    rates    inputs whose connections a plain setting leaves out; default: those of rate ports
+    done     gets the runs as they end
+    options  of `run`, such as start, stop
+
+    A plain setting without such inputs would equal that of order 0, and is left out.
+    """
+    start, stop = seconds(options.get("start"), "start"), seconds(options.get("stop"), "stop")
+    start = (system.start or 0.0) if start is None else start
+    reference.check(system, start, stop, steps)
+    rates = rate_inputs(system) if rates is None else tuple(rates)
+    ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference.names]
+    what = {**options, "record": list(dict.fromkeys(ports))}
+    jobs, done = dict[int, Job](), [] if done is None else done
+    plans = [
+        plan
+        for setting in settings
+        if rates or not setting.without_rates
+        for plan in [SettingRun(setting, min(steps), case) for case in setting.cases]
+        or [SettingRun(setting, step) for step in sorted(steps)]
+    ]
+    for n, plan in enumerate(plans):
+        coupled = system.without(*rates) if plan.setting.without_rates else system
+        record_step = reference.adaptive_record_step(start) if plan.case else plan.step
+        how = {"master": plan.coupling, "step": plan.step, "record_step": record_step}
+        try:
+            jobs[n] = Job.of(coupled, scenario, what | how)
+        except Problem as problem:
+            plans[n] = replace(plan, refusal=str(problem))
+    with closing(Runs([job.system for job in jobs.values()])) as runs, doing("the first run") as line:
+        systems = dict(zip(jobs, runs.systems, strict=True))
+
+        def work(n: int) -> SettingRun:
+            line.update(f"{n} of {len(plans)}  {plans[n].setting.label}, {plans[n].at}")
+            if n not in jobs:
+                return plans[n]
+            return _run(plans[n], reference, runs, replace(jobs[n], system=systems[n]), repeats)
+
+        in_threads(work, range(len(plans)), done.extend, runs.stop, workers=1)
+    if done and all(run.refusal for run in done):  # the user's mistake, not a limit of the FMUs
+        raise Problem(done[0].refusal)
+    return done
+
+
+def _run(plan: SettingRun, reference: Reference, runs: Runs, job: Job, repeats: int) -> SettingRun:
+    """One run, repeated for its wall time if it was stable."""
+    result, end = runs.alone(job)
+    failure = end.reason if end and end.status == Status.FAILED else ""
+    if result is None:
+        return replace(plan, refusal=failure)
+    card = result.card
+    errors = {} if failure else reference.errors(result.trace, plan.step)
+    done = replace(plan, errors=errors, steps=card.steps, simulated=card.simulated, failure=failure)
+    more = (runs.alone(job)[0] for _ in range(repeats - 1 if done.stable else 0))
+    return replace(done, walls=(card.wall, *(again.card.wall for again in more if again is not None)))
+
+
+# ---- for the command line
 
 
 def convergence(
@@ -68,13 +450,13 @@ def convergence(
     if repeats < 1:
         raise Problem(f"repeats: expected at least 1, got {repeats}")
     settings, step_list = choose(_items(masters)), read_steps(steps)
-    given = checked(CaseArguments, options, "convergence")
+    given: dict[str, Any] = checked(CaseArguments, options, "convergence")
     other_run = any(given.get(name) for name in OTHER_RUN) or scenario is not None
     coupled = configured(require_system(system), **taken(given, "cut", "swap"))
     if not coupled.connections:
         raise Problem(f"{system}: expected connected FMUs, got no connection: there is nothing to couple")
     make_folder(out)
-    given = {name: value for name, value in given.items() if value} | {"scenario": scenario}
+    given = {name: value for name, value in given.items() if value}
     if reference is None and not other_run:
         names = from_recording(read_recording(default_reference)).names
         reference = default_reference if set(names) <= set(coupled.names()) else None
@@ -82,20 +464,17 @@ def convergence(
         recording = read_recording(reference)
         solution, note = from_recording(recording, signals), another_model(coupled, recording)
     else:
-        solution = finest_run(coupled, default_signals(coupled, signals), step_list, **given)
+        solution = finest_run(coupled, signals, step_list, scenario, **given)
         note = f"no reference for this run: {solution.title}, half the smallest step, is used instead"
     rates, runs = rate_inputs(coupled), list[SettingRun]()
-    # without rate inputs plain settings would equal those of order 0
-    fitting = [setting for setting in settings if rates or not setting.without_rates]
-    plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}"
-    notes = [note, *solution.notes, plain_note if any(s.without_rates for s in fitting) else ""]
+    plain = rates and any(setting.without_rates for setting in settings)
+    plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}" if plain else ""
     try:
-        running = run_settings(coupled, solution, fitting, step_list, repeats, rates, **given)
-        for setting_run in with_progress(running, sum(len(s.cases) or len(step_list) for s in fitting)):
-            runs.append(setting_run)
+        run_settings(coupled, solution, settings, step_list, repeats, rates, scenario, runs, **given)
     finally:
-        study = ConvergenceStudy(solution, tuple(runs), tuple(filter(None, notes)))
-        if runs:
+        notes = filter(None, (note, *solution.notes, plain_note))
+        study = ConvergenceStudy(solution, tuple(runs), tuple(notes))
+        if not all(run.refusal for run in runs):
             report(study, out)
     return study
 
@@ -115,169 +494,3 @@ def read_steps(text: str) -> list[float]:
 def _items(text: str) -> list[str]:
     """The items of a list with commas."""
     return [part.strip() for part in text.split(",") if part.strip()]
-
-
-def with_progress(runs: Iterable[SettingRun], total: int) -> Iterator[SettingRun]:
-    """The runs as they come, with a progress bar."""
-    text = TextColumn("{task.completed} of {task.total}  {task.description}")
-    console = Console(stderr=True)
-    with Progress(text, BarColumn(), console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=total)
-        for run in runs:
-            description = f"{run.setting.label}, {run.case or milliseconds(run.step)}"
-            bar.update(task, advance=1, description=description)
-            yield run
-
-
-def write(study: ConvergenceStudy, home: Path) -> list[Path]:
-    """Write convergence.csv, .json, .png and work_precision.png to a folder; figures of the first group."""
-    csv_path, json_path = home / "convergence.csv", home / "convergence.json"
-    rows = [_csv_row(study, run) for run in study.runs]
-    write_rows(csv_path, [[*rows[0]], *(row.values() for row in rows)])
-    write_json(json_path, as_dict(study))
-    figures = {"convergence.png": draw_error(study), "work_precision.png": draw_work_precision(study)}
-    for name, figure in figures.items():
-        write_whole(home / name, png(figure, DPI))
-    return [csv_path, json_path, *(home / name for name in figures)]
-
-
-def as_dict(study: ConvergenceStudy) -> Mapping[str, Any]:
-    """The study for convergence.json: reference, signals by group, notes, and all runs with all errors."""
-    return {
-        "reference": study.reference.title,
-        "groups": {group: list(names) for group, names in study.reference.groups.items()},
-        "notes": list(study.notes),
-        "runs": [_json_run(study, run) for run in study.runs],
-    }
-
-
-def _columns(run: SettingRun) -> dict[str, Any]:
-    """What the CSV and the JSON file contain of a run, except for its errors."""
-    coupling = run.setting.cases.get(run.case, run.setting.coupling)
-    return {
-        "setting": run.setting.label,
-        "master": coupling.method.name,
-        "extrapolation order": coupling.extrapolation,
-        "most passes": coupling.max_passes,
-        "without rate connections": run.setting.without_rates,
-        "case": run.case,
-        "step [s]": run.step,
-        "mean step [s]": run.mean_step,
-        "steps": run.steps,
-        "simulated [s]": run.simulated,
-        "stable": run.stable,
-        "wall [s]": json_values(run.wall),
-        "wall time over simulated time [1]": json_values(run.cost),
-        "ended": run.failure or run.refusal,
-    }
-
-
-def _json_run(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
-    errors = dict[str, Any]()
-    for group, deviations in run.errors.items():
-        signals = {e.signal: {"nrmse": e.nrmse, "maximum": e.maximum, "unit": e.unit} for e in deviations}
-        errors[group] = {"order of convergence": study.order(run, group), "signals": signals}
-    return {**_columns(run), "walls [s]": list(run.walls), "errors": errors}
-
-
-def _csv_row(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
-    """A row of the CSV: of each group its worst signal."""
-    row = _columns(run)
-    for group in study.reference.groups:
-        worst = run.errors[group][0] if run.errors else None
-        row[f"{group} nrmse"] = worst.nrmse if worst else None
-        row[f"{group} worst signal"] = worst.signal if worst else None
-        row[f"{group} order of convergence"] = study.order(run, group)
-    return row
-
-
-def error_table(study: ConvergenceStudy, group: str) -> TextTable:
-    """NRMSE of the worst signal of a group, with the observed order of convergence."""
-
-    def cell(run: SettingRun) -> str:
-        order = study.order(run, group)
-        return two_digits(run.error(group)) + ("" if order is None else f" {order:4.1f}")
-
-    return _table(study, f"{group}: worst NRMSE against {study.reference.title}; {ORDER_NOTE}", cell)
-
-
-def maximum_table(study: ConvergenceStudy, group: str) -> TextTable:
-    """The largest difference of a group at any instant, in a convenient unit such as bar or mm."""
-    unit_of_group = study.reference.recording.units[study.reference.groups[group][0]]
-    unit = error_display_unit(unit_of_group).display
-
-    def cell(run: SettingRun) -> str:
-        error = run.maximum(group)
-        return _short_exponent(f"{error.maximum * factor_and_offset(error.unit, unit, error.signal)[0]:.2g}")
-
-    return _table(study, f"{group}: largest difference [{unit or '1'}] from {study.reference.title}", cell)
-
-
-def cost_table(study: ConvergenceStudy) -> TextTable:
-    """Wall time of the stable runs."""
-    return _table(study, "wall time per simulated second [ms]", _cost)
-
-
-def adaptive_table(study: ConvergenceStudy) -> TextTable | None:
-    """Masters with adaptive step size, one row for each case; None if there are none."""
-    groups = list(study.reference.groups)
-    rows = []
-    for run in study.runs:
-        if run.case:
-            errors = [two_digits(run.error(group)) if run.stable else _cell(run, _cost) for group in groups]
-            steps = (str(run.steps), f"{1e3 * run.mean_step:.3g} ms")
-            rows.append((f"{run.setting.label} {run.case}", *steps, *errors, _cell(run, _cost)))
-    head = ("master", "steps", "mean step", *groups, "wall [ms/s]")
-    title = f"adaptive step size: worst NRMSE against {study.reference.title}"
-    return TextTable(head, rows, title=title, strong=EMPHASISED) if rows else None
-
-
-def tables(study: ConvergenceStudy) -> list[TextTable]:
-    """All tables that the command prints."""
-    errors = [error_table(study, group) for group in study.reference.groups]
-    return [table for table in (*errors, cost_table(study), adaptive_table(study)) if table]
-
-
-def failures(study: ConvergenceStudy) -> Iterator[str]:
-    """For each setting the first unstable step, or why it was not run."""
-    for setting in study.settings:
-        failed = next((run for run in study.of(setting) if not run.stable), None)
-        if failed and failed.refusal:
-            yield f"{setting.label}: {REFUSED}: {failed.refusal}"
-        elif failed:
-            reason = failed.failure or "completed, but the error of a signal exceeded its range"
-            yield f"{setting.label}: {UNSTABLE} at {failed.case or milliseconds(failed.step)}: {reason}"
-
-
-def milliseconds(step: float) -> str:
-    """A step [s] as text in milliseconds."""
-    return f"{1e3 * step:g} ms"
-
-
-def two_digits(value: float) -> str:
-    """A pure number with two digits, such as 6.4e-5."""
-    return _short_exponent(f"{value:.1e}")
-
-
-def _short_exponent(number: str) -> str:
-    return number.replace("e-0", "e-").replace("e+0", "e+")
-
-
-def _cost(run: SettingRun) -> str:
-    return f"{1e3 * run.cost:.2g}"
-
-
-def _table(study: ConvergenceStudy, title: str, cell: Callable[[SettingRun], str]) -> TextTable:
-    """One row for each setting with given steps, one column for each step."""
-    rows = []
-    for setting in study.settings:
-        if not setting.cases:
-            by_step = {run.step: run for run in study.of(setting)}
-            rows.append((setting.label, *(_cell(by_step.get(step), cell) for step in study.steps)))
-    return TextTable(["master", *map(milliseconds, study.steps)], rows, title=title, strong=EMPHASISED)
-
-
-def _cell(run: SettingRun | None, cell: Callable[[SettingRun], str]) -> str:
-    if run is None:
-        return ""
-    return REFUSED if run.refusal else cell(run) if run.stable else UNSTABLE

@@ -6,18 +6,20 @@ The page is one file that needs no network. The JSON file contains the same valu
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
+from matplotlib.figure import Figure as Drawing
 
-from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
-from orchestrator.pages import html_page
-from orchestrator.pages.figures import plot
-from orchestrator.pages.html_page import json_values
+from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit, number
+from orchestrator.pages.html_page import json_values, write_text
 from orchestrator.pages.plotting import embed
+from orchestrator.results.report import Columns, Facts, Figure, Part, Report, Section, Table, Text
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import MEASURES, output_description, sentences, size
 from orchestrator.studies.analysis.output_samples import done
@@ -33,11 +35,13 @@ from orchestrator.studies.report.study_figures import (
     tornado,
 )
 from orchestrator.studies.store import Results, read
-from orchestrator.studies.study import START, Factor, Output, short
+from orchestrator.studies.study import START, Choice, Factor, Output, short
 
 PAGE, NUMBERS = "report.html", "analysis.json"
-TEMPLATE = Path(__file__).parent / "templates" / "study.html.j2"
-CaptionedFigure = tuple[str, Markup, str]  # title, figure, caption
+BANDS = (
+    "Line: median over the runs at each time. Area: 5 to 95 %. Dashed: smallest and largest. A single run can"
+    " differ from all of these curves"
+)
 METHODS = {"latin": "Latin hypercube", "sobol": "Sobol' points", "grid": "full grid"}
 METHODS |= {"saltelli": "Saltelli design", "morris": "Morris trajectories"}
 BINS = 16  # of the small histograms
@@ -53,38 +57,147 @@ def report(folder: Path) -> Path:
 
 def write(folder: Path, results: Results, analysis: Analysis) -> None:
     """Write both files; equal results give equal bytes."""
-    study: dict[str, Any] = json_values(results.study)
-    study.pop("folder")  # the location of the study is not a result
+    made = study_report(results, analysis)
+    write_text(folder / PAGE, made.html())
+    write_text(folder / NUMBERS, made.json() + "\n")
+
+
+def study_report(results: Results, analysis: Analysis) -> Report:
+    """What affects the outputs most, then each output, its signals over time, failures and the definition."""
+    study, outputs = results.study, {output.name: output for output in results.study.outputs}
+    answers = [sentences(found)[0] for found in analysis.findings]
+    failed = analysis.runs - analysis.succeeded
+    left_out = f"{failed} of {analysis.runs} runs failed or ended early; all statistics leave them out"
+    counts = [(study.factors, "factor"), (study.compared, "choice")]
+    varied = [f"{len(some)} {name}{'s' * (len(some) != 1)}" for some, name in counts if some]
+    lead = [
+        f"{analysis.runs} runs of `{study.system}`, {', '.join([*varied, METHODS[study.method]])}",
+        left_out if failed else "All finished",
+    ]
+    sections = [_output(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)]
+    parts: list[Part] = [
+        Text(answers[1:]),
+        Table(_outputs(analysis)),
+        *sections,
+        *(Section(f"{name} over time", [Text([BANDS], "soft"), *drawn]) for name, drawn in _bands(results)),
+        Section("Failed runs", [Text([left_out] if failed else []), Table(_failures(results, analysis))]),
+        Section("Factors and choices", _varied(results, analysis), folded=True),
+        Section("Definition of the study", _definition(results), folded=True),
+    ]
+    known: dict[str, Any] = json_values(study)
+    known.pop("folder")  # the location of the study is not a result
     texts = {analysed.name: sentences(analysed) for analysed in analysis.findings}
-    html_page.write_json(folder / NUMBERS, {"study": study, **json_values(analysis), "sentences": texts})
-    html_page.write_text(folder / PAGE, render(results, analysis))
+    data = {"study": known, **json_values(analysis), "sentences": texts}
+    data.pop("title")
+    return Report(analysis.title, answers[0] if answers else "", parts, data, lead=lead)
 
 
-def render(results: Results, analysis: Analysis) -> str:
-    """The page as HTML."""
+def _outputs(analysis: Analysis) -> TextTable:
+    """Median and spread of each output."""
+    rows = []
+    for found in analysis.findings:
+        spread, text = found.spread, found.display.text
+        if spread is None:
+            cells = [NO_VALUE, "no run has it"]
+        elif found.constant:
+            cells = [text(spread.median), f"in all {spread.runs} runs"]
+        else:
+            cells = [text(spread.median), f"{text(spread.low, with_unit=False)} to {text(spread.high)}"]
+        rows.append([_code(found.name), *cells, output_description(found)])
+    return TextTable(["output", "median", "in nine of ten runs", "what it is"], rows, left=(0, 3))
+
+
+def _output(results: Results, output: Output, found: OutputAnalysis, index: int) -> Section:
+    """Sentences, figures and tables of an output."""
+    what, sensitivity = output_description(found), found.sensitivity
+    unit = f", in {found.display.name}" if found.display.name else ""
+    parts: list[Part] = [
+        Text([f"{what}{unit}"], "soft"),
+        Text([" ".join(sentences(found))]),
+        Columns(_figures(results, output, found, index)),
+        Table(replace(_spreads(found), title=f"Statistics{unit}")),
+    ]
+    if sensitivity is not None:
+        samples = {"mu_star": "trajectories"}.get(sensitivity.measure, "samples")
+        counted = f"{sensitivity.samples} {'runs' if results.study.method == 'grid' else samples}"
+        effects = [Table(_effects(sensitivity, found.display), ["Brackets: 95 % intervals"])]
+        apart = replace(_apart(sensitivity, found.display), title="In each combination of choices")
+        effects += [Table(apart)] if sensitivity.apart else []
+        parts.append(Section(f"All estimates: {sensitivity.method}, {counted}", effects, folded=True))
+        parts.append(Text([*sensitivity.notes, *found.notes], "soft"))
+    return Section(found.name, parts)
+
+
+def _failures(results: Results, analysis: Analysis) -> TextTable:
+    """Reasons of failed runs with their counts."""
+    rows, choices = [], results.study.compared
+    for failure in analysis.failures:
+        first = f" (run {failure.examples[0]}; the numbers differ from run to run)" if failure.various else ""
+        by = [
+            ", ".join(f"{option} {n}" for option, n in failure.by_choice[choice.name].items() if n)
+            for choice in choices
+        ]
+        examples = ", ".join(map(str, failure.examples))
+        rows.append([str(failure.count), failure.reason + first, examples, *by])
+    head = ["runs", "reason", "example runs", *(f"by {choice.name}" for choice in choices)]
+    return TextTable(head, rows, left=range(1, len(head)))
+
+
+def _varied(results: Results, analysis: Analysis) -> list[Part]:
+    """Factors with their samples, choices with their options, and fixed values."""
     study = results.study
-    outputs = {output.name: output for output in study.outputs}
-    over_time = _bands(results)
+    rows = [
+        [_code(f.name), f.distribution, distribution_text(f), _spark(_bar_heights(results.table[f.column]))]
+        for f in study.factors
+    ]
+    factors = TextTable(["factor", "distribution", "parameters", "samples"], rows, left=range(4))
+
+    def drawn(choice: Choice) -> str:
+        if len(choice.options) == 1:
+            return "in all runs"
+        return "drawn with each sample" if choice.sampled else "each with every sample"
+
+    choices = {c.name: f"{', '.join(c.options)} ({drawn(c)})" for c in study.choices}
     # without unit if the name sets several variables
     units = {name: results.units.get(f"{START}{name}", "") for name in study.fixed}
-    return html_page.render(
-        TEMPLATE,
-        title=analysis.title,
-        study=study,
-        analysis=analysis,
-        method=METHODS[study.method],
-        measures=MEASURES,
-        sentences=sentences,
-        description=output_description,
-        varied=[(f, distribution_text(f), _bar_heights(results.table[f.column])) for f in study.factors],
-        sections=[
-            (f, _columns(results, outputs[f.name], f, k), _spreads(f), *_estimates(f))
-            for k, f in enumerate(analysis.findings)
-        ],
-        bands=over_time,
-        plots=bool(over_time),
-        fixed=[(name, display_unit(units[name], v).text(v, 6)) for name, v in study.fixed.items()],
+    fixed = {name: display_unit(units[name], v).text(v, 6) for name, v in study.fixed.items()}
+    return [
+        Table(factors),
+        Section("Choices", [Facts(choices)]),
+        Section("Fixed values of all runs", [Facts(fixed)]),
+        Text(analysis.notes, "soft"),
+    ]
+
+
+def _definition(results: Results) -> list[Part]:
+    """System, samples, runs and outputs of a study."""
+    study = results.study
+    kind = {"saltelli": "base samples", "morris": "trajectories"}.get(study.method, "samples")
+    design = "" if study.method == "grid" else f", {study.runs} {kind}, seed {study.seed}"
+    end = "the default stop time of the system" if study.stop is None else f"{number(study.stop)} s"
+    step = "default of the system" if study.step is None else f"{number(study.step)} s"
+    facts = {
+        "system": study.system,
+        "samples": f"{METHODS[study.method]}{design}",
+        "each run": f"to {end}, step {step}{f', {study.master}' if study.master else ''}",
+    }
+    rows = []
+    for o in study.outputs:
+        window = f"{number(o.start or 0)} s to {'the end' if o.stop is None else f'{number(o.stop)} s'}"
+        whole = o.start is None and o.stop is None
+        signal = [_code(o.name), MEASURES[o.measure], _code(o.signal)]
+        rows.append([*signal, "whole run" if whole else window])
+    return [Facts(facts), Table(TextTable(["output", "measure", "signal", "window"], rows, left=range(4)))]
+
+
+def _spark(bars: Sequence[float]) -> Markup:
+    """A small histogram."""
+    rect = Markup('<rect x="{}" y="{:.3g}" width="0.84" height="{}"/>')
+    drawn = Markup().join(rect.format(k + 0.08, 1 - bar, bar) for k, bar in enumerate(bars))
+    head = (
+        '<svg class="spark" viewBox="0 0 {} 1" preserveAspectRatio="none" role="img" aria-label="{}">{}</svg>'
     )
+    return Markup(head).format(len(bars), "histogram of the samples", drawn)
 
 
 def distribution_text(factor: Factor) -> str:
@@ -112,15 +225,7 @@ def _bar_heights(column: pd.Series) -> list[float]:
     return [round(float(count / counts.max()), 3) for count in counts]
 
 
-def _estimates(analysed: OutputAnalysis) -> tuple[Markup | None, Markup | None]:
-    """Table of all effects, and that of each combination of choices."""
-    sensitivity, unit = analysed.sensitivity, analysed.display
-    if sensitivity is None:
-        return None, None
-    return _effects(sensitivity, unit).html(), _apart(sensitivity, unit).html() if sensitivity.apart else None
-
-
-def _spreads(analysed: OutputAnalysis) -> Markup | None:
+def _spreads(analysed: OutputAnalysis) -> TextTable:
     """Table of distributions, a row for all runs, then one for each option."""
     spreads = [(Markup("all"), analysed.spread)] if analysed.spread else []
     for choice, options in analysed.by_choice.items():
@@ -133,7 +238,7 @@ def _spreads(analysed: OutputAnalysis) -> Markup | None:
         for name, s in spreads
     ]
     head = ["case", "runs", "mean", "sd", "least", "5 %", "median", "95 %", "largest"]
-    return TextTable(head, rows).html() if rows else None
+    return TextTable(head, rows)
 
 
 def _effects(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
@@ -169,23 +274,23 @@ def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
     return TextTable(["factor", *sensitivity.apart], rows)
 
 
-def _columns(
-    results: Results, output: Output, analysed: OutputAnalysis, index: int
-) -> list[list[CaptionedFigure]]:
-    """The figures of an output in two columns of about the same height."""
-    sensitivity, left, right = analysed.sensitivity, list[CaptionedFigure](), list[CaptionedFigure]()
+def _figures(results: Results, output: Output, analysed: OutputAnalysis, index: int) -> list[Figure]:
+    """Sensitivities, dots of all runs, and distribution of an output."""
+    sensitivity, figures = analysed.sensitivity, list[Figure]()
+
+    def add(drawing: Drawing, name: str, heading: str, caption: str) -> None:
+        figures.append(Figure(embed(drawing, f"{name[0]}{index}-", name), name, caption, heading))
+
     if sensitivity is not None:
-        drawn = embed(tornado(analysed, sensitivity), f"t{index}-", "tornado")
-        left.append(("Sensitivities", drawn, _hidden_effects(sensitivity, analysed.display)))
-        dots = scatter(results, output, analysed, sensitivity)
-        if dots is not None:
-            caption = "A dot for each run" + ("; the line is the median." if shows_medians(results) else ".")
-            right.append(("Factors with the largest effect", embed(dots, f"s{index}-", "scatter"), caption))
+        hidden = _hidden_effects(sensitivity, analysed.display)
+        add(tornado(analysed, sensitivity), "tornado", "Sensitivities", hidden)
+        if (dots := scatter(results, output, analysed, sensitivity)) is not None:
+            line = "; the line is the median." if shows_medians(results) else "."
+            add(dots, "scatter", "Factors with the largest effect", f"A dot for each run{line}")
     if analysed.spread is not None and not analysed.constant:
-        figure = histogram(results, output, analysed, colouring(results, sensitivity))
-        drawn = embed(figure, f"h{index}-", "histogram")
-        left.append(("Distribution", drawn, "Dashed: 5, 50 and 95 % quantiles."))
-    return [column for column in (left, right) if column]
+        drawing = histogram(results, output, analysed, colouring(results, sensitivity))
+        add(drawing, "histogram", "Distribution", "Dashed: 5, 50 and 95 % quantiles.")
+    return figures
 
 
 def _hidden_effects(sensitivity: Sensitivity, unit: DisplayUnit) -> str:
@@ -198,16 +303,14 @@ def _hidden_effects(sensitivity: Sensitivity, unit: DisplayUnit) -> str:
     return f"Not shown: {len(hidden)} more, none with more than {bound}."
 
 
-def _bands(results: Results) -> list[tuple[str, list[tuple[str, Markup]]]]:
+def _bands(results: Results) -> Iterator[tuple[str, list[Figure]]]:
     """Figures of each stored signal: all runs, then one figure per choice."""
     if results.bands is None or results.bands.empty or done(results).empty:
-        return []
-    figures_by_signal = []
+        return
     for signal in results.study.bands:
         unit = display_unit(results.units.get(signal, ""), float(results.bands[signal].abs().max()))
-        figures = [("all runs", plot(bands(results, signal, unit, None), f"{signal}, all runs"))]
-        for choice in results.study.compared:
-            title = f"by {choice.name}"
-            figures.append((title, plot(bands(results, signal, unit, choice), f"{signal} {title}")))
-        figures_by_signal.append((signal, figures))
-    return figures_by_signal
+        cases = [("all runs", None), *((f"by {choice.name}", choice) for choice in results.study.compared)]
+        yield (
+            signal,
+            [Figure(bands(results, signal, unit, c), f"{signal}, {name}", heading=name) for name, c in cases],
+        )
