@@ -11,9 +11,10 @@ from fmus.identification import machine
 from fmus.identification.machine import Parameters, nominal, short_name, updated
 from fmus.identification.procedures import rest
 from fmus.identification.procedures.damping import DAMPING
-from fmus.identification.procedures.fit import Procedure
-from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
+from fmus.identification.procedures.hose_dynamics import HOSE_DYNAMICS
+from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
 from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
+from fmus.identification.procedures.procedure import Identification
 from fmus.identification.procedures.valve import VALVE
 from fmus.identification.procedures.weighing import WEIGHING
 from fmus.identification.recording_names import check_names, check_units
@@ -27,7 +28,7 @@ from orchestrator.base.text import first_names
 from orchestrator.data.recording import Recording
 
 # zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper weighs nothing
-PROCEDURES: Mapping[str, Procedure] = {
+PROCEDURES: Mapping[str, Identification] = {
     p.name: p for p in (rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, DAMPING, WEIGHING)
 }
 NO_RECORDING = "no recording"

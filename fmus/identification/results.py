@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -197,3 +197,9 @@ class ProcedureResult:
             value, low, high, unit = e.displayed(e.digits)
             lines.append(f"  {e.name:<38}{value:>12}  ({low} to {high}) {unit}")
         return "\n".join(lines)
+
+
+def joined(results: Sequence[ProcedureResult]) -> ProcedureResult:
+    """One result of several of a procedure, each of other parameters."""
+    lists = ("estimates", "panels", "remarks", "others", "listed", "findings")
+    return replace(results[0], **{n: tuple(x for r in results for x in getattr(r, n)) for n in lists})

@@ -49,7 +49,8 @@ from fmus.identification import balance
 from fmus.identification.balance import UNLIKELY, Law, Normal, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import STEP_SIGNALS, StepMeans
-from fmus.identification.procedures.fit import Fit, Procedure
+from fmus.identification.procedures.fit import Fit
+from fmus.identification.procedures.procedure import Computed
 from fmus.identification.recordings.masks import in_dead_zone, steady
 from fmus.identification.results import (
     BAR,
@@ -1070,4 +1071,4 @@ def panels(found: ValveFit) -> tuple[Panel, ...]:
     )
 
 
-VALVE = Procedure("valve", SIGNALS, identify)
+VALVE = Computed("valve", SIGNALS, identify)

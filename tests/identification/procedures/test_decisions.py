@@ -14,7 +14,7 @@ from kit.mistakes import problem
 from fmus.identification.balance import Regression
 from fmus.identification.procedures import damping, experiment_data, momentum_balance, rest, valve
 from fmus.identification.procedures.fit import Fit
-from fmus.identification.procedures.hoses import identify_resistance
+from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
 from fmus.identification.recordings.reading import take
 from fmus.parameters import Number
 from orchestrator.data.recording import Recording
@@ -104,7 +104,7 @@ def test_a_resistance_may_change_by_two_percent_over_the_flows(change, named):
         return bench.friction(q) * (1 + change * (q / bench.LITRES - 147.5) / 255.0)
 
     (record,) = bench.steady_hose(1, drop, flows)
-    found = names(identify_resistance([record], bench.KNOWN))
+    found = names(HOSE_RESISTANCE.identify([record], bench.KNOWN))
     assert ("model" in found) == named
 
 
