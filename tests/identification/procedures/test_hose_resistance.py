@@ -25,7 +25,7 @@ def test_resistance_comes_back_and_is_scaled(every):
     bench.assert_coverage(bench.RESISTANCE, [bench.named(result)["C_R"] for result in every])
     masked = next(c for c in every[0].panels[0].curves if c.kind == "masked")
     assert masked.x.size == 1  # the only step below 10 L/min, which is not fitted
-    assert every[0].remarks[0].startswith("Left out of 24 steps: 1 in the dead zone")
+    assert every[0].remarks[1].startswith("Left out of 24 steps: 1 in the dead zone")
 
 
 def test_the_law_falls_with_the_flow_and_eq_1_contradicts_it(every):
