@@ -15,6 +15,7 @@ from fmus.identification.procedures.hose_dynamics import HOSE_DYNAMICS
 from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
 from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
 from fmus.identification.procedures.procedure import Identification
+from fmus.identification.procedures.seal_leakage import SEAL_LEAKAGE
 from fmus.identification.procedures.valve import VALVE
 from fmus.identification.procedures.weighing import WEIGHING
 from fmus.identification.recording_names import check_names, check_units
@@ -27,10 +28,9 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.data.recording import Recording
 
-# zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper weighs nothing
-PROCEDURES: Mapping[str, Identification] = {
-    p.name: p for p in (rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, DAMPING, WEIGHING)
-}
+# zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper has no others
+_BENCHES = rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, SEAL_LEAKAGE
+PROCEDURES: Mapping[str, Identification] = {p.name: p for p in (*_BENCHES, DAMPING, WEIGHING)}
 NO_RECORDING = "no recording"
 DEAD_BAND = "valve_dead_band"
 

@@ -25,7 +25,7 @@ Steps = TypeVar("Steps", bound="StepMeans")
 # largest error of a zero over the range, if no data sheet is given: the usual class of pressure transducers
 ZERO_ERROR = 0.0025
 ZERO_NOISE = 10.0  # and at least so many standard deviations of the noise, if the range is unknown
-SAME_HOSE = 1e-3  # largest relative difference between two measurements of one hose
+SAME_PART = 1e-3  # largest relative difference between two measurements of one size
 RATE_WINDOW = 0.25  # s, filter that estimates the rate of change of a signal
 STEADY = 4.0  # standard deviations of the rate below which a signal is steady
 MARGIN, SHORTEST_CORE = 0.25, 0.25  # s cut off both ends of a steady stretch, and minimum length of the rest
@@ -70,18 +70,17 @@ def check_conditions(recordings: Sequence[Recording], **choices: Collection[str]
             condition(recording, name, choices[name])
 
 
-def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
-    """Length and inside diameter [m] of the tested hose, which must be equal in all recordings."""
+def one_size(recordings: Sequence[Recording], name: str) -> float:
+    """A condition [m] of the tested part, which must be equal in all recordings."""
     first = recordings[0]
-    for name in ("length", "diameter"):
-        size = first.numeric_condition(name)
-        for other in recordings[1:]:
-            if abs(other.numeric_condition(name) / size - 1) > SAME_HOSE:
-                raise Problem(
-                    f"{other.source}: [experiment] {name}: expected {size:g} m as in {first.source.name}, "
-                    f"got {other.numeric_condition(name):g} m: identify one hose at a time"
-                )
-    return first.numeric_condition("length"), first.numeric_condition("diameter")
+    size = first.numeric_condition(name)
+    for other in recordings[1:]:
+        if abs(other.numeric_condition(name) / size - 1) > SAME_PART:
+            raise Problem(
+                f"{other.source}: [experiment] {name}: expected {size:g} m as in {first.source.name}, "
+                f"got {other.numeric_condition(name):g} m: identify one part at a time"
+            )
+    return size
 
 
 def stated(recording: Recording, name: str) -> float | None:

@@ -41,7 +41,8 @@ class TestedHose:
             data.stated(tests[0], n) or parameter_value(parameters, f"boom_stick.{n}")
             for n in ("density", "viscosity")
         )
-        return cls(*data.hose_size(tests), *oil, data.density_ratio(tests, parameters), parameters)
+        size = (data.one_size(tests, n) for n in ("length", "diameter"))
+        return cls(*size, *oil, data.density_ratio(tests, parameters), parameters)
 
     @property
     def size(self) -> str:

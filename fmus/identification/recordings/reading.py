@@ -29,6 +29,7 @@ CONDITIONS: Mapping[str, tuple[str, ...]] = {
     "hose_resistance": ("length", "diameter", "density", "viscosity"),
     "hose_dynamics": ("length", "diameter", "density", "viscosity"),
     "motor_leakage": ("shaft", "tank_pressure"),
+    "seal_leakage": ("bore",),
     "damping": ("joint", "tank_pressure"),
     "weighing": ("payload", "tank_pressure"),
     MACHINE: ("tank_pressure",),
@@ -39,6 +40,7 @@ CHOICES = {"edge": ("P-A", "B-T", "P-B", "A-T"), "shaft": ("locked",), "joint": 
 NUMBERS = {
     "length": "m",
     "diameter": "m",
+    "bore": "m",
     "density": "kg/m3",
     "viscosity": "Pa.s",
     "tank_pressure": "Pa",

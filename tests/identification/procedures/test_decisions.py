@@ -58,10 +58,10 @@ def test_lengths_of_one_hose_differ_by_less_than_a_thousandth():
     def sizes(factor):
         (record,) = bench.moving_hose(1, groups=1, length=1.0)
         own = {**bench.HOSE, "length": bench.LENGTH * factor}
-        return experiment_data.hose_size([record, replace(record, conditions=own)])
+        return experiment_data.one_size([record, replace(record, conditions=own)], "length")
 
-    assert sizes(1.0008) == (bench.LENGTH, bench.BORE)
-    assert "identify one hose at a time" in problem(lambda: sizes(1.002))
+    assert sizes(1.0008) == bench.LENGTH
+    assert "identify one part at a time" in problem(lambda: sizes(1.002))
 
 
 @pytest.mark.parametrize(("rates", "steady"), [(2.5, True), (7.0, False)])
