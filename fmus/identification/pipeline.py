@@ -14,7 +14,7 @@ from fmus.identification.procedures.damping import DAMPING
 from fmus.identification.procedures.hose_dynamics import HOSE_DYNAMICS
 from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
 from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
-from fmus.identification.procedures.procedure import Identification
+from fmus.identification.procedures.procedure import Computed, Procedure
 from fmus.identification.procedures.seal_leakage import SEAL_LEAKAGE
 from fmus.identification.procedures.valve import VALVE
 from fmus.identification.procedures.weighing import WEIGHING
@@ -30,7 +30,7 @@ from orchestrator.data.recording import Recording
 
 # zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper has no others
 _BENCHES = rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, SEAL_LEAKAGE
-PROCEDURES: Mapping[str, Identification] = {p.name: p for p in (*_BENCHES, DAMPING, WEIGHING)}
+PROCEDURES: Mapping[str, Procedure | Computed] = {p.name: p for p in (*_BENCHES, DAMPING, WEIGHING)}
 NO_RECORDING = "no recording"
 DEAD_BAND = "valve_dead_band"
 

@@ -254,19 +254,23 @@ class Fit:
             sentence += f"; the estimates are without this delay, the key `delay = {value:.2g}` corrects it"
         return Finding("time shift", min(1.0, len(self.delays) * p), sentence)
 
+    def over(self, name: str, along: Array) -> Array:
+        """The column of an unknown that changes in proportion to something over its range, shape (N,)."""
+        rows = self.solution.samples[0].law.rows
+        along = np.repeat((along - along.mean()) / (float(np.ptp(along)) or 1.0), rows)
+        return np.asarray(self.solution.column(name) * along)
+
     def _drift(self, name: str, words: str, given: Sequence[Array]) -> Iterator[Finding]:
         """Whether an unknown changes in time or with the temperature of the oil.
 
         A change of less than its standard deviation is no contradiction. Where its effect only grows or only
         falls with the time, nothing is told.
         """
-        solution, rows = self.solution, self.solution.samples[0].law.rows
         along, word = np.concatenate([values for values, _ in self.along]), self.along[0][1]
         size = np.abs(self.column(name))
         if np.ptp(size) and np.ptp(along) and abs(float(stats.spearmanr(size, along)[0])) >= ONE_WAY:
             return
-        along = np.repeat((along - along.mean()) / (float(np.ptp(along)) or 1.0), rows)
-        change, sd = solution.effect(solution.column(name) * along, given)
+        change, sd = self.solution.effect(self.over(name, along), given)
         percent = 100 / abs(self[name])
         yield Finding(
             "oil temperature",

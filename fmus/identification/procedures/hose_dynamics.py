@@ -51,42 +51,35 @@ def lump(p_in: Any, p_out: Any, q_in: Any, q_out: Any, u: Any, *known: Any) -> A
     return (drop, q_in - q_out), (u.I * flow, u.C * pressure)
 
 
-def highest(tested: TestedHose) -> float:
-    """Frequency of eq. (3) [Hz]."""
-    modulus = parameter_value(tested.parameters, "boom_stick.bulk_modulus")
-    return float(hose.frequency_limit(tested.length, tested.density, modulus))
-
-
 def known(tests: Recordings, parameters: Parameters) -> TestedHose:
     """The hose, if all recordings have fast changes, meters of one sign and enough samples."""
     tested = TestedHose.of(tests, parameters)
     for test in tests:
         inlet, outlet = np.array([test[n] for n in ("flow_in", "flow_out")])
-        usable = np.isfinite(inlet + outlet)
-        if usable.any() and not np.ptp(inlet[usable]) > 0:
-            expected = "expected fast changes of flow and pressure, got a constant"
-            raise Problem(f"{test.source}: flow_in: {expected}")
-        if inlet[usable] @ outlet[usable] < 0:
-            expected = "expected both positive from inlet to outlet, got opposite signs"
-            raise Problem(f"{test.source}: flow_in, flow_out: {expected}")
-        rate, limit = uniform_rate(test), highest(tested)
-        if rate < SAMPLES_PER_PERIOD * limit:
-            raise Problem(
-                f"{test.source}: sampling rate: expected {SAMPLES_PER_PERIOD * limit:.0f} Hz or more, got "
-                f"{rate:.0f} Hz: the hose oscillates at up to {limit:.0f} Hz, which would be aliased"
-            )
-        if (windows := samples([test], tested)[0][0].starts.size) < MIN_WINDOWS:
-            raise Problem(
-                f"{test.source}: {windows} windows without a bad sample (gap, clipped, dead zone), "
-                f"expected at least {MIN_WINDOWS}"
-            )
+        usable, rate, limit = np.isfinite(inlet + outlet), uniform_rate(test), tested.frequency
+        windows = samples([test], tested)[0][0].starts.size
+        constant, opposite = (
+            usable.any() and not np.ptp(inlet[usable]) > 0,
+            inlet[usable] @ outlet[usable] < 0,
+        )
+        wrong = {
+            "flow_in: expected fast changes of flow and pressure, got a constant": constant,
+            "flow_in, flow_out: expected both positive from inlet to outlet, got opposite signs": opposite,
+            f"sampling rate: expected {SAMPLES_PER_PERIOD * limit:.0f} Hz or more, got {rate:.0f} Hz: the hose "
+            f"oscillates at up to {limit:.0f} Hz, which would be aliased": rate < SAMPLES_PER_PERIOD * limit,
+            f"{windows} windows without a bad sample (gap, clipped, dead zone), expected at least {MIN_WINDOWS}": (
+                windows < MIN_WINDOWS
+            ),
+        }
+        if texts := [text for text, true in wrong.items() if true]:
+            raise Problem(f"{test.source}: {texts[0]}")
     return tested
 
 
 def samples(tests: Recordings, tested: TestedHose) -> Parts:
     """Windows of each recording."""
     law = law_of(lump, len(SIGNALS), UNKNOWNS, len(tested.constants))
-    width = PERIODS / highest(tested)
+    width = PERIODS / tested.frequency
     return [window_samples(test, SIGNALS, law, width, tested.constants) for test in tests]
 
 

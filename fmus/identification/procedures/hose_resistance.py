@@ -111,14 +111,13 @@ def _others(fit: Fit) -> Iterator[Estimate]:
         yield fit.solution.fit.derived("viscosity ratio", "1", note, "viscosity", math.exp)
 
 
-def _by_flow(fit: Fit) -> list[Array]:
+def _by_flow(fit: Fit) -> Array:
     """The column of a C_R that changes with the flow."""
-    flow = np.abs(fit.solution.samples[0].raw[2])
-    return [fit.solution.column("C_R") * (flow - flow.mean()) / (float(np.ptp(flow)) or 1.0)]
+    return fit.over("C_R", np.abs(fit.solution.samples[0].raw[2]))
 
 
 def _findings(fit: Fit) -> Iterator[Finding]:
-    change, sd = fit.solution.effect(*_by_flow(fit))
+    change, sd = fit.solution.effect(_by_flow(fit))
     percent = 100 / fit["C_R"]
     yield Finding(
         "model",
@@ -185,6 +184,6 @@ HOSE_RESISTANCE = Procedure(
     panels=_panels,
     remarks=_remarks,
     findings=_findings,
-    given=_by_flow,
+    given=lambda fit: [_by_flow(fit)],
     drift={"C_R": "C_R"},
 )

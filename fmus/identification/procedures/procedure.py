@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -30,30 +30,16 @@ from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
 
 ROUNDS = 4  # of fits with a delay, each without that which the one before has found
-Recordings, Parameters = Sequence[Recording], Mapping[str, Number]
-Parts = Sequence[tuple[Samples, Course]]  # samples of the law, each with its course
+Recordings: TypeAlias = Sequence[Recording]
+Parameters: TypeAlias = Mapping[str, Number]
+Parts: TypeAlias = Sequence[tuple[Samples, Course]]  # samples of the law, each with its course
 # (signals, unknowns, constants) -> residual of each equation, and what is stored if the law is not steady
-Equations = Callable[..., Any]
-
-
-class Identification(Protocol):
-    """An experiment and what is estimated from it."""
-
-    @property
-    def name(self) -> str:
-        """As in recordings."""
-
-    @property
-    def signals(self) -> Mapping[str, str]:
-        """That it needs, with their SI units."""
-
-    def identify(self, recordings: Recordings, parameters: Parameters, /) -> ProcedureResult:
-        """The estimates from all recordings, with the parameters that are known."""
+Equations: TypeAlias = Callable[..., Any]
 
 
 @dataclass(frozen=True)
 class Computed:
-    """A procedure that is no fit of one law: a function gives its result."""
+    """A procedure that is no fit of one law: a function of recordings and known parameters."""
 
     name: str
     signals: Mapping[str, str]

@@ -50,6 +50,12 @@ class TestedHose:
         return f"{self.length:g} m, bore {self.bore * 1e3:.4g} mm"
 
     @property
+    def frequency(self) -> float:
+        """Of eq. (3), above which it is no single lump [Hz]."""
+        modulus = parameter_value(self.parameters, "boom_stick.bulk_modulus")
+        return float(hose.frequency_limit(self.length, self.density, modulus))
+
+    @property
     def constants(self) -> tuple[float, ...]:
         """Those of the law."""
         return self.length, self.bore, self.density, self.viscosity
