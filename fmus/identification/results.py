@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
@@ -202,4 +202,5 @@ class ProcedureResult:
 def joined(results: Sequence[ProcedureResult]) -> ProcedureResult:
     """One result of several of a procedure, each of other parameters."""
     lists = ("estimates", "panels", "remarks", "others", "listed", "findings")
-    return replace(results[0], **{n: tuple(x for r in results for x in getattr(r, n)) for n in lists})
+    every: dict[str, Any] = {n: tuple(x for r in results for x in getattr(r, n)) for n in lists}
+    return replace(results[0], **every)

@@ -47,7 +47,7 @@ POSITION = 1.0  # standard deviation of the prior of s and r, which are between 
 def lump(p_in: Any, p_out: Any, q_in: Any, q_out: Any, u: Any, *known: Any) -> Any:
     """Both equations, and what they store."""
     flow, pressure = q_in + u.s * (q_out - q_in), p_out + u.r * (p_in - p_out)
-    drop = p_in - p_out - u.R * flow - friction(u.C_R, *known).drop(flow)
+    drop = p_in - p_out - u.R * flow - friction(u.C_R, known).drop(flow)
     return (drop, q_in - q_out), (u.I * flow, u.C * pressure)
 
 
@@ -62,14 +62,17 @@ def known(tests: Recordings, parameters: Parameters) -> TestedHose:
             usable.any() and not np.ptp(inlet[usable]) > 0,
             inlet[usable] @ outlet[usable] < 0,
         )
+        least, aliased = (
+            SAMPLES_PER_PERIOD * limit,
+            f"oscillates at up to {limit:.0f} Hz, which would be aliased",
+        )
+        few = f"{windows} windows without a bad sample (gap, clipped, dead zone)"
         wrong = {
             "flow_in: expected fast changes of flow and pressure, got a constant": constant,
             "flow_in, flow_out: expected both positive from inlet to outlet, got opposite signs": opposite,
-            f"sampling rate: expected {SAMPLES_PER_PERIOD * limit:.0f} Hz or more, got {rate:.0f} Hz: the hose "
-            f"oscillates at up to {limit:.0f} Hz, which would be aliased": rate < SAMPLES_PER_PERIOD * limit,
-            f"{windows} windows without a bad sample (gap, clipped, dead zone), expected at least {MIN_WINDOWS}": (
-                windows < MIN_WINDOWS
-            ),
+            f"sampling rate: expected {least:.0f} Hz or more, got {rate:.0f} Hz: the hose {aliased}": rate
+            < least,
+            f"{few}, expected at least {MIN_WINDOWS}": windows < MIN_WINDOWS,
         }
         if texts := [text for text, true in wrong.items() if true]:
             raise Problem(f"{test.source}: {texts[0]}")
@@ -99,7 +102,7 @@ def _start(tested: TestedHose) -> dict[str, float]:
 
 def _estimates(fit: Fit) -> list[Quantity]:
     """The machine's lines."""
-    tested = fit.known
+    tested: TestedHose = fit.known
     about = "regression over windows, section 4(c)", ", times {ratio:.4g} for {size} and the machine's oil"
     inertance = "inertance", UNITS["I"], "I", (*AXES, "swing.line")
     capacitance = "capacitance", UNITS["C"], "C", AXES

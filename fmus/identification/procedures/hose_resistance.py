@@ -44,7 +44,7 @@ LEVEL = 0.02  # of C_R: a change over the flows that is no contradiction, the ba
 
 def drop(p_in: Any, p_out: Any, flow: Any, u: Any, *known: Any) -> Any:
     """The law."""
-    return ((p_in - p_out - friction(u.C_R, *known, u.viscosity).drop(flow),),)
+    return ((p_in - p_out - friction(u.C_R, known, u.viscosity).drop(flow),),)
 
 
 def known(tests: Recordings, parameters: Parameters) -> tuple[TestedHose, StepMeans, Course]:
@@ -90,7 +90,7 @@ def _refined(fit: Fit, again: Callable[..., Fit]) -> Fit:
 
 
 def _estimates(fit: Fit) -> list[Quantity]:
-    tested = fit.known[0]
+    tested: TestedHose = fit.known[0]
     thicker = tested.to_density**0.75
     return tested.scaled(
         *("resistance", UNIT, "C_R", AXES),

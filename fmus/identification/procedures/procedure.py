@@ -99,7 +99,7 @@ class Procedure:
     findings: Callable[[Fit], Iterable[Finding]] = _nothing
     drift: Mapping[str, str] = field(default_factory=dict)
     given: Callable[[Fit], Sequence[Array]] = _nothing
-    free: Collection[str] = ()
+    free: Sequence[str] = ()
     equal: Collection[str] = ()
     refined: Callable[[Fit, Callable[..., Fit]], Fit] = lambda fit, _: fit
     check: Callable[[Fit], object] = _nothing

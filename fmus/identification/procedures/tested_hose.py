@@ -37,12 +37,13 @@ class TestedHose:
     @classmethod
     def of(cls, tests: Recordings, parameters: Parameters) -> TestedHose:
         """As the recordings state it; an oil that they do not state is the machine's."""
-        oil = (
+        length, bore = (data.one_size(tests, n) for n in ("length", "diameter"))
+        density, viscosity = (
             data.stated(tests[0], n) or parameter_value(parameters, f"boom_stick.{n}")
             for n in ("density", "viscosity")
         )
-        size = (data.one_size(tests, n) for n in ("length", "diameter"))
-        return cls(*size, *oil, data.density_ratio(tests, parameters), parameters)
+        to_density = data.density_ratio(tests, parameters)
+        return cls(length, bore, density, viscosity, to_density, parameters)
 
     @property
     def size(self) -> str:
@@ -88,10 +89,12 @@ class TestedHose:
         return f"Known: density {self.density:.4g} kg/m3, viscosity {self.viscosity:.4g} Pa.s."
 
 
-def friction(
-    own: Any, length: Any, bore: Any, density: Any, viscosity: Any, thicker: Any = 0.0
-) -> hose.Friction:
-    """The friction of a hose with C_R at the known viscosity, in an oil that is exp(thicker) times it."""
+def friction(own: Any, known: Sequence[Any], thicker: Any = 0.0) -> hose.Friction:
+    """The friction of a hose with C_R at the known viscosity, in an oil that is exp(thicker) times it.
+
+    known   `TestedHose.constants`
+    """
+    length, bore, density, viscosity = known
     ratio = ca.exp(ca.fmax(-WIDEST, ca.fmin(thicker, WIDEST)))
     oil = Liquid(density=density, viscosity=viscosity * ratio)
     scaled = hose.scaled_resistance(own, 1, 1, ratio)
