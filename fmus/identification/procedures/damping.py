@@ -130,7 +130,7 @@ def _refined(parameters: Parameters, fit: Fit, again: Callable[..., Fit]) -> Fit
     dry, sd = dry_friction(fit)
     if dry > CLEAR * sd:
         fit = again(tested=[momentum.OFFSET])
-    effect = momentum.known_parameter_effects(fit.solution, parameters)[fit.known.contact.theta]
+    effect = momentum.known_parameter_effect(fit.solution, parameters, fit.known.contact.theta)
     return replace(fit, known=SimpleNamespace(**vars(fit.known), effect=effect))
 
 
