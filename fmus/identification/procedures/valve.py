@@ -601,7 +601,7 @@ class Curved:
     command   of the nodes [V], ascending; the last one is full command
     areas     at these [m2], with pointwise 95 % intervals; open at a full command that was not measured
     p         probability of residuals as large if the curve can follow the areas
-    off       largest of these over its area, and its command
+    off       largest of these over the last area, and its command
     """
 
     start: float
@@ -701,7 +701,7 @@ class Opening:
             areas = [widened(Estimate.normal("", float(x), "m2", float(y), "")) for x, y in every]
         else:
             areas = [self.areas[k] for k in chosen]
-        nodes, worst = v[chosen], int(np.abs(off / area).argmax())
+        nodes, worst = v[chosen], int(np.abs(off).argmax())
         if not self.reached:  # to full command leads the last chord of the areas; its upper end is open
             slope = (area[-1] - area[-2]) / float(v[-1] - v[-2])
             value = max(float(area[-1] + slope * (self.full_command - v[-1])), areas[-1].value)
@@ -709,9 +709,7 @@ class Opening:
                 np.append(nodes, self.full_command),
                 [*areas, replace(areas[-1], value=value, high=math.inf)],
             )
-        return Curved(
-            self.start.value, nodes, areas, p, (float(abs(off[worst] / area[worst])), float(v[worst]))
-        )
+        return Curved(self.start.value, nodes, areas, p, (float(abs(off[worst] / area[-1])), float(v[worst])))
 
     def at(self, command: float) -> Estimate | None:
         """Area where it is known: between the measured commands for a line, else at these."""
@@ -1070,7 +1068,7 @@ def _remarks(found: ValveFit, zero: Estimate) -> Iterator[str]:
             yield (
                 f"{edge or 'All edges'}: no table of {len(curve.areas)} points can "
                 f"follow all measured areas (chi-square test, {_chance(curve.p)}): it is off by "
-                f"{100 * off:.2g} % at {command:.3g} V."
+                f"{100 * off:.2g} % of the largest area at {command:.3g} V."
             )
     for edge, opening in found.openings.items():
         if not opening.reached:
