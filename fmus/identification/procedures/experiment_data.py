@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from fmus.identification.balance import SIGNIFICANT, Samples, Solution
-from fmus.identification.recording_names import TEMPERATURE
 from fmus.identification.recordings import masks
 from fmus.identification.recordings.clock import filter_for, resample_uniformly
-from fmus.identification.recordings.reading import require
+from fmus.identification.recordings.reading import TEMPERATURE, require
 from fmus.identification.results import BAR, Estimate, Finding
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem

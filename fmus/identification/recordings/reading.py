@@ -22,6 +22,7 @@ from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import READABLE, Array, TextFormat, read_columns
 
 MACHINE, REST, NOTE = "machine", "rest", "note"
+TEMPERATURE = "oil_temperature"  # an optional signal of all recordings [K]
 MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
 # keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
 CONDITIONS: Mapping[str, tuple[str, ...]] = {
