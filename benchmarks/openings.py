@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from fmus.identification.procedures.valve import identify_openings, offset
+from fmus.identification.procedures.experiment_data import pressure_offset
+from fmus.identification.procedures.valve import identify_openings
 from fmus.parameters import Number
 from orchestrator.data.recording import Recording, Sensor
 
@@ -168,7 +169,7 @@ def trials(valve: str, seed: int) -> list[Trial]:
                 edge=name,
                 inside=float(inside.mean()),
                 area=opening.full.value / float(true[-1]) - 1,
-                zero=abs(offset(found.solution)[0]) / (2 * ZERO_ERROR),
+                zero=abs(pressure_offset(found.solution).value) / (2 * ZERO_ERROR),
                 start=opening.start.low <= start + 2e-3 and start <= opening.start.high + 2e-3,
                 straight=found.straight is not None,
                 half=float(np.median((high - low) / 2 / true)),

@@ -136,7 +136,7 @@ def payloads(found: Mapping[str, Identified]) -> Iterator[str]:
     """The weighed payload of both machines, with and without the recording of the empty head."""
     rows = []
     for machine, identified in found.items():
-        loaded = weighing.identify(
+        loaded = weighing.WEIGHING.identify(
             [r for r in identified.recordings if r.conditions.get("payload") != 0.0], nominal()
         )
         (tared,) = (r for r in identified.results if r.procedure == "weighing")

@@ -23,7 +23,7 @@ import numpy as np
 
 from fmus.components import hose
 from fmus.components.chamber import Liquid
-from fmus.identification.procedures import hoses, motor_leakage
+from fmus.identification.procedures import hose_dynamics, hose_resistance, motor_leakage
 from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
@@ -121,7 +121,7 @@ def used(recording: Recording, names: Mapping[str, str]) -> Array:
 
 def squares(recording: Recording) -> tuple[Array, Array]:
     """Q|Q| and the drop of (1), Fig. 6; the flow is above the dead zone of the meter."""
-    before, after, flow = used(recording, hoses.STEADY_SIGNALS)
+    before, after, flow = used(recording, hose_resistance.SIGNALS)
     return flow * np.abs(flow), before - after
 
 
@@ -131,10 +131,11 @@ def definitions(recording: Recording, known: Known) -> tuple[Array, Array]:
     One filter gives the derivatives and smooths the other signals. Ratios with a small derivative are left
     out. The noise of a derivative biases its ratio towards zero.
     """
-    rate, usable = uniform_rate(recording), good_all(recording, hoses.SIGNALS)
+    rate, usable = uniform_rate(recording), good_all(recording, hose_dynamics.SIGNALS)
     smoothing = SavitzkyGolay(rate, max(WINDOW, 4.5 / rate))
     signal, derivative = (
-        {n: smoothing.apply(np.where(usable, recording[n], np.nan), k) for n in hoses.SIGNALS} for k in (0, 1)
+        {n: smoothing.apply(np.where(usable, recording[n], np.nan), k) for n in hose_dynamics.SIGNALS}
+        for k in (0, 1)
     )
     length, bore = (recording.numeric_condition(n) for n in ("length", "diameter"))
     own, density, viscosity, its_length, its_bore = (

@@ -6,31 +6,46 @@ Each procedure uses the estimates of those before it. No file is written.
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 
+from fmus.composition import declared
 from fmus.identification import machine
 from fmus.identification.machine import Parameters, nominal, short_name, updated
 from fmus.identification.procedures import rest
 from fmus.identification.procedures.damping import DAMPING
-from fmus.identification.procedures.fit import Procedure
-from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
+from fmus.identification.procedures.hose_dynamics import HOSE_DYNAMICS
+from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
 from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
+from fmus.identification.procedures.procedure import Computed, Procedure
+from fmus.identification.procedures.seal_leakage import SEAL_LEAKAGE
 from fmus.identification.procedures.valve import VALVE
 from fmus.identification.procedures.weighing import WEIGHING
-from fmus.identification.recording_names import check_names, check_units
-from fmus.identification.recordings.reading import MACHINE
+from fmus.identification.recordings.reading import (
+    CONDITIONS,
+    MACHINE,
+    MACHINE_SIGNALS,
+    NOTE,
+    REST,
+    TEMPERATURE,
+    require,
+)
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
 from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
 from fmus.identification.results import Estimate, Finding, ProcedureResult
+from fmus.machine.parts import FERIC
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.data.recording import Recording
 
-# zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper weighs nothing
-PROCEDURES: Mapping[str, Procedure] = {
-    p.name: p for p in (rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, DAMPING, WEIGHING)
-}
+# zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper has no others
+_BENCHES = rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, SEAL_LEAKAGE
+PROCEDURES: Mapping[str, Procedure | Computed] = {p.name: p for p in (*_BENCHES, DAMPING, WEIGHING)}
 NO_RECORDING = "no recording"
+GROUPS = ("inputs", "outputs")  # of the machine's variables that can be recorded
+UNREAD: Mapping[str, tuple[str, ...]] = {"hose_dynamics": ("command",)}  # usual signals that are not needed
+# similarity above which a name is a misspelling of another; names of the machine have much in common
+SIMILAR, SIMILAR_ON_MACHINE = 0.8, 0.85
 DEAD_BAND = "valve_dead_band"
 
 Report = Callable[[str], None]  # prints lines about the progress
@@ -215,3 +230,66 @@ def refine_together(
     for line in (*machine.sensor_sentences(refined), *advice(refined)):
         report(f"  {line}")
     return refined
+
+
+# ---- names that no procedure reads are refused: a misspelt one would be ignored silently -----------------
+
+
+def check_names(recordings: Sequence[Recording], signals: Mapping[str, Collection[str]]) -> None:
+    """Raise Problem if a recording has a signal or a condition that its procedure does not read.
+
+    signals   procedure of a test bench -> names of the signals that it reads
+    """
+    of_machine = {name for group in GROUPS for name in declared(FERIC.subsystems, group)}
+    for recording in recordings:
+        procedure, source = recording.procedure, recording.source
+        conditions = CONDITIONS.get(procedure)
+        if conditions is None:
+            continue
+        for name in recording.conditions:
+            if name not in (*conditions, NOTE):
+                similar = _similar(name, conditions, SIMILAR)
+                raise Problem(
+                    f"{source}: [experiment] {name}: {procedure} does not read it"
+                    + (f", expected {similar}" if similar else f"; it reads {', '.join((*conditions, NOTE))}")
+                )
+        on_machine = procedure in MACHINE_SIGNALS
+        expected = of_machine if on_machine else {*signals[procedure], *UNREAD.get(procedure, ())}
+        of_driving = (
+            {name for names in FERIC.inputs.values() for name in names} if procedure == MACHINE else ()
+        )
+        for name in recording.signals:
+            if recording.sensor(name).delay_error and name not in of_driving:
+                only = "only that of a command or line pressure of the machine at work can be estimated"
+                raise Problem(f"{source}: signal {name}: delay_error: {only}; `delay` states a known one")
+        if procedure == REST:  # any sensor
+            continue
+        for name in recording.signals:
+            if name not in (*expected, TEMPERATURE):
+                similar = _similar(name, expected, SIMILAR_ON_MACHINE if on_machine else SIMILAR)
+                listed = "inputs and outputs of the machine" if on_machine else ", ".join(sorted(expected))
+                raise Problem(
+                    f"{source}: signal {name}: {procedure} does not read it"
+                    + (f", expected {similar}" if similar else f"; it reads {listed} and {TEMPERATURE}")
+                )
+
+
+def check_units(recordings: Sequence[Recording], signals: Mapping[str, Mapping[str, str]]) -> None:
+    """Raise Problem if a recording gives a signal in a unit of another dimension than its procedure reads.
+
+    signals   procedure on a bench -> its signals with their SI units
+    """
+    declared_units = {n: q.unit for group in GROUPS for n, q in declared(FERIC.subsystems, group).items()}
+    for recording in recordings:
+        known = declared_units if recording.procedure in MACHINE_SIGNALS else signals[recording.procedure]
+        require(recording, {name: unit for name, unit in known.items() if name in recording.signals})
+
+
+def _similar(name: str, expected: Collection[str], cutoff: float) -> str:
+    """The expected name most similar to this one, in upper or lower case, with or without its part."""
+    by_last_part: dict[str, list[str]] = {}
+    for candidate in sorted(expected):
+        by_last_part.setdefault(candidate.lower().rpartition(".")[2], []).append(candidate)
+    close = get_close_matches(name.lower().rpartition(".")[2], by_last_part, 1, cutoff)
+    # several parts may have the name: prefer the one that is written in front
+    return get_close_matches(name.lower(), by_last_part[close[0]], 1, 0.0)[0] if close else ""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
@@ -197,3 +197,10 @@ class ProcedureResult:
             value, low, high, unit = e.displayed(e.digits)
             lines.append(f"  {e.name:<38}{value:>12}  ({low} to {high}) {unit}")
         return "\n".join(lines)
+
+
+def joined(results: Sequence[ProcedureResult]) -> ProcedureResult:
+    """One result of several of a procedure, each of other parameters."""
+    lists = ("estimates", "panels", "remarks", "others", "listed", "findings")
+    every: dict[str, Any] = {n: tuple(x for r in results for x in getattr(r, n)) for n in lists}
+    return replace(results[0], **every)

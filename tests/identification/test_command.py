@@ -16,6 +16,7 @@ from kit.mistakes import refused, table
 from fmus.identification import pipeline
 from fmus.identification.machine import FREE, lookup, nominal, short_name, targets_of, updated
 from fmus.identification.pipeline import PROCEDURES
+from fmus.identification.procedures.procedure import Computed
 from fmus.identification.report import attribution
 from fmus.identification.results import Finding
 from fmus.machine.build import harvester_machine
@@ -177,7 +178,8 @@ def test_a_named_fault_is_a_warning_with_its_own_status(recordings, here, capsys
     def found(*given):
         return replace(procedure.identify(*given), panels=(), findings=tests)
 
-    monkeypatch.setitem(pipeline.PROCEDURES, "motor_leakage", replace(procedure, identify=found))
+    other = Computed("motor_leakage", procedure.signals, found)
+    monkeypatch.setitem(pipeline.PROCEDURES, "motor_leakage", other)
     assert main(["identify", "mine"]) == status
     printed = capsys.readouterr().out
     assert ("warning: motor_leakage: It ends at 5 <L/min>.\n" in printed) == (status == 3)

@@ -6,9 +6,8 @@ import numpy as np
 from kit.mistakes import problem, table
 
 from fmus.identification.machine import signal_names
-from fmus.identification.pipeline import PROCEDURES, identify
+from fmus.identification.pipeline import PROCEDURES, check_names, identify
 from fmus.identification.procedures import valve
-from fmus.identification.recording_names import check_names
 from orchestrator.data.recording import Recording
 
 

@@ -9,9 +9,10 @@ Validity: viscous friction, all other parameters known. A dry friction is a furt
 absorbs all other effects, as the paper notes; the remarks quantify them.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -19,10 +20,10 @@ from fmus.identification import balance
 from fmus.identification.balance import Samples
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance as momentum
-from fmus.identification.procedures.fit import Fit, Procedure, Quantity, fitted
+from fmus.identification.procedures.fit import Fit, Quantity
+from fmus.identification.procedures.procedure import Computed, Parameters, Procedure, Recordings, solve
 from fmus.identification.recordings.reading import require
-from fmus.identification.results import Estimate, Finding, Panel, ProcedureResult
-from fmus.parameters import Number
+from fmus.identification.results import Estimate, Finding, Panel, ProcedureResult, joined
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
@@ -61,85 +62,60 @@ SWING = FrictionContact(
 BY_JOINT = {"swing": SWING, "boom": _piston("boom"), "stick": _piston("stick")}
 
 
-def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
+def identify(recordings: Recordings, parameters: Parameters) -> ProcedureResult:
     """B of each joint that has recordings."""
-    by_joint: dict[str, list[Recording]] = {joint: [] for joint in BY_JOINT}
-    for recording in data.training_recordings(recordings, "damping", dict.fromkeys(momentum.ANGLES, "rad")):
-        joint = data.condition(recording, "joint", BY_JOINT)
-        require(recording, dict.fromkeys(momentum.PRESSURES[joint], "Pa"))
-        by_joint[joint].append(recording)
-    estimates, others, panels = list[Estimate](), list[Estimate](), list[Panel]()
-    remarks, findings = list[str](), list[Finding]()
-    for joint, own in ((j, own) for j, own in by_joint.items() if own):
-        contact, fit, at_rest = BY_JOINT[joint], *joint_fit(joint, own, parameters)
-        b, effect = (
-            fit[contact.theta],
-            momentum.known_parameter_effects(fit.solution, parameters)[contact.theta],
-        )
-        dry, dry_sd, note = *dry_friction(fit), f"eq. (13) by impulses and momenta{effect.note}"
-        if b > 0:
-            estimates.append(
-                Estimate.normal(contact.parameter, b, contact.unit, effect.total, note, minimum=0.0)
-            )
-        if effect.note:
-            alone, note = f"{contact.parameter}, other parameters known exactly", "by the recordings alone"
-            others.append(fit.estimate(Quantity(alone, contact.unit, contact.theta, note)))
-        if dry > 0:  # a negative value is not a friction; a remark reports it if it is clear
-            name, note = f"dry friction next to {contact.parameter}", "as a further unknown of (13)"
-            others.append(Estimate.normal(name, dry, contact.force_unit, dry_sd, note))
-        p, units = (
-            momentum.parameter_vector(parameters),
-            ((contact.speed_unit, 1.0), (contact.force_unit, 1.0)),
-        )
-        ratios = [momentum.speed_ratio(joint, z, p)[s.centres] for s, z in filtered(fit)]
-        panel = Panel(contact.speed, contact.resistance, (), joint, *units)
-        panels += fit.line(panel, contact.theta, per=np.concatenate(ratios))
-        told = (*_remarks(contact, fit, at_rest), *effect.remarks)
-        remarks += [f"{contact.parameter}: {text}" for text in told]
-        findings += _findings(contact, fit)
-    return ProcedureResult(
-        procedure="damping",
+    tests = data.training_recordings(recordings, "damping", dict.fromkeys(momentum.ANGLES, "rad"))
+    joints = [data.condition(r, "joint", BY_JOINT) for r in tests]
+    for r, joint in zip(tests, joints, strict=True):
+        require(r, dict.fromkeys(momentum.PRESSURES[joint], "Pa"))
+    results = []
+    for joint in (j for j in BY_JOINT if j in joints):
+        own = [r for r, j in zip(tests, joints, strict=True) if j == joint]
+        declared, moving = of_joint(joint, own, parameters)
+        found = solve(declared, moving, parameters)
+        results.append(replace(found, remarks=tuple(f"{declared.label}: {text}" for text in found.remarks)))
+    return joined(results)
+
+
+def of_joint(joint: str, tests: Recordings, parameters: Parameters) -> tuple[Procedure, list[Recording]]:
+    """The procedure of one joint, and the recordings in which it moves."""
+    contact, index, p = BY_JOINT[joint], momentum.JOINTS.index(joint), momentum.parameter_vector(parameters)
+
+    def samples(recording: Recording) -> Samples:
+        return momentum.joint_samples(recording, joint, (contact.theta,), p, rounding=SIGN_ROUNDING)
+
+    moving = [r for r in tests if moves(r, samples(r), index)]
+    if not moving:
+        files = ", ".join(str(r.source) for r in tests)
+        raise Problem(f"{files}: {momentum.ANGLES[index]}: expected a joint in motion, got one at rest")
+    at_rest = [r.source.name for r in tests if not any(r is m for m in moving)]
+    declared = Procedure(
+        name="damping",
+        label=contact.parameter,
         title="Viscous damping of the joints: resistance over speed",
         figure=9,
-        estimates=tuple(estimates),
-        panels=tuple(panels),
-        remarks=tuple(remarks),
-        others=tuple(others),
-        findings=tuple(findings),
-    )
-
-
-def filtered(fit: Fit) -> Iterator[tuple[Samples, np.ndarray]]:
-    """The samples of each recording, and z: angles, speeds and pressures."""
-    return ((s, s.filtered(s.raw)) for s in fit.solution.samples)
-
-
-def joint_fit(
-    joint: str, recordings: Sequence[Recording], parameters: Mapping[str, Number]
-) -> tuple[Fit, list[str]]:
-    """The fit of one joint, and names of the files in which it does not move, which are left out."""
-    theta, index = BY_JOINT[joint].theta, momentum.JOINTS.index(joint)
-    p = momentum.parameter_vector(parameters)
-    prepare = partial(momentum.joint_samples, joint=joint, theta=(theta,), p=p, rounding=SIGN_ROUNDING)
-    moving = [r for r in recordings if moves(r, prepare(r), index)]
-    if not moving:
-        files = ", ".join(str(r.source) for r in recordings)
-        raise Problem(f"{files}: {momentum.ANGLES[index]}: expected a joint in motion, got one at rest")
-    solve = partial(
-        fitted,
-        BY_JOINT[joint].parameter,
-        moving,
-        momentum.needed_signals(joint),
-        prepare,
-        {theta: parameters[theta].value, momentum.DRY: 0.0, momentum.OFFSET: 0.0},
-        data.declared_limits(recordings, momentum.PRESSURES[joint]),
+        signals=dict.fromkeys(momentum.needed_signals(joint), ""),
+        law="Eq. (13)",
+        known=lambda *_: SimpleNamespace(joint=joint, contact=contact, at_rest=at_rest, p=p),
+        samples=lambda some, _: [data.with_course(r, samples(r)) for r in some],
+        start=lambda _: {
+            contact.theta: parameters[contact.theta].value,
+            momentum.DRY: 0.0,
+            momentum.OFFSET: 0.0,
+        },
+        limits=lambda some: data.declared_limits(some, momentum.PRESSURES[joint]),
         loggers=[momentum.PRESSURES[joint]],
+        tested=(momentum.DRY, momentum.OFFSET),
+        refined=partial(_refined, parameters),
+        estimates=_estimates,
+        others=_others,
+        panels=_panels,
+        remarks=_remarks,
+        findings=_findings,
+        drift={contact.theta: "B"},
+        free=(momentum.DRY, momentum.OFFSET),
     )
-    fit = solve(tested=(momentum.DRY, momentum.OFFSET))
-    dry, sd = dry_friction(fit)
-    if dry > CLEAR * sd:  # else it would raise B
-        fit = solve(tested=[momentum.OFFSET])
-    return fit, [r.source.name for r in recordings if not any(r is m for m in moving)]
+    return declared, moving
 
 
 def moves(recording: Recording, s: Samples, joint: int) -> bool:
@@ -147,6 +123,15 @@ def moves(recording: Recording, s: Samples, joint: int) -> bool:
     noise = float(np.linalg.norm(s.channels[3][1]) * data.noise_sd(recording, momentum.ANGLES[joint]))
     rms = np.sqrt(np.mean(s.filtered(s.raw)[3 + joint] ** 2))
     return bool(rms > max(MOVING * noise, SLOWEST))
+
+
+def _refined(parameters: Parameters, fit: Fit, again: Callable[..., Fit]) -> Fit:
+    """With a dry friction as an unknown if it is clear, else it would raise B; and what known errors do."""
+    dry, sd = dry_friction(fit)
+    if dry > CLEAR * sd:
+        fit = again(tested=[momentum.OFFSET])
+    effect = momentum.known_parameter_effect(fit.solution, parameters, fit.known.contact.theta)
+    return replace(fit, known=SimpleNamespace(**vars(fit.known), effect=effect))
 
 
 def dry_friction(fit: Fit) -> tuple[float, float]:
@@ -157,28 +142,48 @@ def dry_friction(fit: Fit) -> tuple[float, float]:
     return fit.solution.effect(column(momentum.DRY), [column(momentum.OFFSET)])
 
 
-def _findings(contact: FrictionContact, fit: Fit) -> Iterator[Finding]:
+def _estimates(fit: Fit) -> Iterator[Estimate]:
+    contact, effect = fit.known.contact, fit.known.effect
+    note = f"eq. (13) by impulses and momenta{effect.note}"
+    if (b := fit[contact.theta]) > 0:
+        yield Estimate.normal(contact.parameter, b, contact.unit, effect.total, note, minimum=0.0)
+
+
+def _others(fit: Fit) -> Iterator[Estimate]:
+    contact, (dry, sd) = fit.known.contact, dry_friction(fit)
+    if fit.known.effect.note:
+        alone = f"{contact.parameter}, other parameters known exactly"
+        yield fit.estimate(Quantity(alone, contact.unit, contact.theta, "by the recordings alone"))
+    if dry > 0:  # a negative value is not a friction; a remark reports it if it is clear
+        name, note = f"dry friction next to {contact.parameter}", "as a further unknown of (13)"
+        yield Estimate.normal(name, dry, contact.force_unit, sd, note)
+
+
+def _panels(fit: Fit) -> Iterator[Panel]:
+    contact, joint, p = fit.known.contact, fit.known.joint, fit.known.p
+    every = ((s, s.filtered(s.raw)) for s in fit.solution.samples)
+    ratio = np.concatenate([momentum.speed_ratio(joint, z, p)[s.centres] for s, z in every])
+    units = (contact.speed_unit, 1.0), (contact.force_unit, 1.0)
+    yield from fit.line(Panel(contact.speed, contact.resistance, (), joint, *units), contact.theta, per=ratio)
+
+
+def _findings(fit: Fit) -> Iterator[Finding]:
     dry, sd = dry_friction(fit)
-    yield Finding(
-        "dry friction",
-        balance.probability(dry, sd, sides=1),
-        f"{fit.label}: the residual has the sign of the speed, a dry friction of {dry:.3g} +- "
-        f"{sd:.2g} {contact.force_unit}",
-    )
-    yield from fit.findings({contact.theta: "B"}, free=(momentum.DRY, momentum.OFFSET))
+    told = f"a dry friction of {dry:.3g} +- {sd:.2g} {fit.known.contact.force_unit}"
+    sentence = f"{fit.label}: the residual has the sign of the speed, {told}"
+    yield Finding("dry friction", balance.probability(dry, sd, sides=1), sentence)
 
 
-def _remarks(contact: FrictionContact, fit: Fit, at_rest: Sequence[str]) -> Iterator[str]:
+def _remarks(fit: Fit) -> Iterator[str]:
     """Sentences that follow the parameter's name and a colon."""
-    if fit[contact.theta] <= 0:
+    contact, (dry, sd) = fit.known.contact, dry_friction(fit)
+    if (b := fit[contact.theta]) <= 0:
         yield (
-            f"{fit[contact.theta]:.3g} {contact.unit} is not a valid damping, so this estimate is not used: "
+            f"{b:.3g} {contact.unit} is not a valid damping, so this estimate is not used: "
             "the value of a known parameter must be wrong."
         )
-    yield from fit.remarks((), "Eq. (13)")
-    for name in at_rest:
+    for name in fit.known.at_rest:
         yield f"in {name} the joint is at rest, so this recording is left out."
-    dry, sd = dry_friction(fit)
     if dry < -CLEAR * sd:
         yield (
             "the resistance grows more than in proportion to the speed. The dry friction would have "
@@ -189,6 +194,7 @@ def _remarks(contact: FrictionContact, fit: Fit, at_rest: Sequence[str]) -> Iter
             f"there is a dry friction of {dry:.3g} +- {sd:.2g} {contact.force_unit}. It is estimated "
             "together with B, which does not include it."
         )
+    yield from fit.known.effect.remarks
 
 
-DAMPING = Procedure("damping", SIGNALS, identify)
+DAMPING = Computed("damping", SIGNALS, identify)

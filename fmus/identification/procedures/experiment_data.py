@@ -1,7 +1,7 @@
 """Data of an experiment: its training recordings, known parameters, steady stretches, means over steps."""
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fmus.identification.balance import SIGNIFICANT
-from fmus.identification.recording_names import TEMPERATURE
+from fmus.identification.balance import SIGNIFICANT, Samples, Solution
 from fmus.identification.recordings import masks
 from fmus.identification.recordings.clock import filter_for, resample_uniformly
-from fmus.identification.recordings.reading import require
+from fmus.identification.recordings.reading import TEMPERATURE, require
 from fmus.identification.results import BAR, Estimate, Finding
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -25,7 +24,7 @@ Steps = TypeVar("Steps", bound="StepMeans")
 # largest error of a zero over the range, if no data sheet is given: the usual class of pressure transducers
 ZERO_ERROR = 0.0025
 ZERO_NOISE = 10.0  # and at least so many standard deviations of the noise, if the range is unknown
-SAME_HOSE = 1e-3  # largest relative difference between two measurements of one hose
+SAME_PART = 1e-3  # largest relative difference between two measurements of one size
 RATE_WINDOW = 0.25  # s, filter that estimates the rate of change of a signal
 STEADY = 4.0  # standard deviations of the rate below which a signal is steady
 MARGIN, SHORTEST_CORE = 0.25, 0.25  # s cut off both ends of a steady stretch, and minimum length of the rest
@@ -34,6 +33,7 @@ SETTLING_TIME = 0.5  # s cut off the beginning of each step of the command
 SHORTEST_STEP = 0.3  # s, minimum length of the rest of a step
 NOISE_ERROR = 3.0  # relative standard error of a noise estimate, times the root of the number of samples
 MIN_SAMPLES = 100  # for a test of noise
+MIN_STEPS = 4  # fewer steps of a flow do not tell a viscosity from a zero
 FINEST = 1e-6  # smallest relative standard error of a mean, also of a signal without noise
 STEP_SIGNALS = ("pressure_in", "pressure_out", "flow")
 
@@ -62,18 +62,24 @@ def condition(recording: Recording, name: str, choices: Collection[str]) -> str:
     raise Problem(f"{recording.source}: [experiment] {name}: expected {', '.join(choices)}, got {got}")
 
 
-def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
-    """Length and inside diameter [m] of the tested hose, which must be equal in all recordings."""
+def check_conditions(recordings: Sequence[Recording], **choices: Collection[str]) -> None:
+    """Raise Problem if a stated condition has another word than those that are possible."""
+    for recording in recordings:
+        for name in choices.keys() & recording.conditions.keys():
+            condition(recording, name, choices[name])
+
+
+def one_size(recordings: Sequence[Recording], name: str) -> float:
+    """A condition [m] of the tested part, which must be equal in all recordings."""
     first = recordings[0]
-    for name in ("length", "diameter"):
-        size = first.numeric_condition(name)
-        for other in recordings[1:]:
-            if abs(other.numeric_condition(name) / size - 1) > SAME_HOSE:
-                raise Problem(
-                    f"{other.source}: [experiment] {name}: expected {size:g} m as in {first.source.name}, "
-                    f"got {other.numeric_condition(name):g} m: identify one hose at a time"
-                )
-    return first.numeric_condition("length"), first.numeric_condition("diameter")
+    size = first.numeric_condition(name)
+    for other in recordings[1:]:
+        if abs(other.numeric_condition(name) / size - 1) > SAME_PART:
+            raise Problem(
+                f"{other.source}: [experiment] {name}: expected {size:g} m as in {first.source.name}, "
+                f"got {other.numeric_condition(name):g} m: identify one part at a time"
+            )
+    return size
 
 
 def stated(recording: Recording, name: str) -> float | None:
@@ -213,6 +219,11 @@ def course(recording: Recording, when: Array | Sequence[slice]) -> tuple[Array, 
     return np.interp(start + time, recording.time, values), "oil temperature"
 
 
+def with_course(recording: Recording, samples: Samples) -> tuple[Samples, tuple[Array, str]]:
+    """Samples of windows, with the `course` at their centres."""
+    return samples, course(recording, samples.times)
+
+
 def concatenate(tables: Sequence[Steps]) -> Steps:
     """The steps of several recordings, one table after the other."""
     columns: dict[str, Any] = {n: np.concatenate([vars(t)[n] for t in tables]) for n in vars(tables[0])}
@@ -237,30 +248,27 @@ def steady_stretches(recording: Recording, names: Sequence[str]) -> list[slice]:
     return [s for s in cores if s.stop - s.start >= shortest]
 
 
-@dataclass(frozen=True)
-class SteadyPoints:
-    """Means over steady stretches of all recordings, and their standard errors, shape (signals, n).
-
-    recording   index of the recording of each, shape (n,)
-    along       `course` of each
-    """
-
-    means: Array
-    errors: Array
-    recording: NDArray[np.intp]
-    along: tuple[Array, str]
-
-
 def steady_points(
-    recordings: Sequence[Recording], signals: Iterable[str], steady: Sequence[str], least: int
-) -> SteadyPoints:
-    """The means where the signals `steady` are; Problem if there are fewer than `least`."""
-    columns, indices, along, word = list[Array](), list[int](), list[float](), ""
-    for k, recording in enumerate(recordings):
+    recordings: Sequence[Recording],
+    signals: Mapping[str, str],
+    steady: Sequence[str],
+    least: int,
+    zero: Callable[[Recording], float] = lambda _: 0.0,
+) -> tuple[Array, Array, tuple[Array, str]]:
+    """Means over the stretches in which the signals `steady` are; Problem if there are fewer than `least`.
+
+    Means of all signals, their standard errors (signals, n), and the `course`.
+
+    zero   of each recording, which is taken off its steady signals
+    """
+    columns, along, word = list[Array](), list[float](), ""
+    for recording in recordings:
         if stretches := steady_stretches(recording, steady):
-            columns.append(np.concatenate(masks.averages(recording, tuple(signals), stretches)))
+            means, errors = masks.averages(recording, tuple(signals), stretches)
+            means[[n in steady for n in signals]] -= zero(recording)
+            columns.append(np.concatenate([means, errors]))
             times, word = course(recording, stretches)
-            indices, along = [*indices, *[k] * times.size], [*along, *times]
+            along = [*along, *times]
     table = np.concatenate(columns, axis=1) if columns else np.empty((2, 0))
     told = np.isfinite(table).all(axis=0)
     if told.sum() < least:
@@ -269,7 +277,7 @@ def steady_points(
             f"steady {', '.join(steady)}, got {told.sum()}"
         )
     means, errors = np.split(table[:, told], 2)
-    return SteadyPoints(means, errors, np.array(indices)[told], (np.array(along)[told], word))
+    return means, errors, (np.array(along)[told], word)
 
 
 @dataclass(frozen=True)
@@ -344,6 +352,32 @@ def step_means(recording: Recording, steps: Sequence[slice]) -> StepMeans:
         clipped=wrong_steps & ~dead,
         good=~dead & ~wrong_steps & np.isfinite(means).all(axis=0),
     )
+
+
+def flow_steps(recordings: Sequence[Recording]) -> tuple[StepMeans, tuple[Array, str]]:
+    """Steps in which the flow is steady, and the `course` of the good ones."""
+    means, along, word = list[StepMeans](), list[Array](), ""
+    for recording in recordings:
+        stretches = steady_stretches(recording, ["flow"])
+        if not stretches:
+            expected = f"expected a steady flow for {SHORTEST_STRETCH:g} s or longer, got none"
+            raise Problem(f"{recording.source}: flow: {expected}")
+        means.append(step_means(recording, stretches))
+        values, word = course(recording, stretches)
+        along.append(values)
+    steps = concatenate(means)
+    if (count := np.count_nonzero(steps.good)) < MIN_STEPS:
+        raise Problem(
+            f"{recordings[0].procedure}: expected at least {MIN_STEPS} steady steps, got {count}; "
+            f"left out of {steps.flow.size} steps: {steps.omissions() or 'none'}"
+        )
+    return steps, (np.concatenate(along)[steps.good], word)
+
+
+def pressure_offset(solution: Solution) -> Estimate:
+    """Difference of the two pressures without flow."""
+    value, sd = solution.every.combination({"pressure_in": 1.0, "pressure_out": -1.0})
+    return Estimate.normal("pressures without flow", value, "Pa", sd, "pressure_in - pressure_out")
 
 
 def pressure_offset_remark(zero: Estimate) -> Iterator[str]:

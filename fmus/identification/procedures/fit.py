@@ -1,7 +1,7 @@
 """A law fitted to the recordings of an experiment, and what every procedure says of it.
 
-`fitted` prepares the recordings, solves, and takes out the delay of a logger. A `Fit` has the tests of what
-all procedures take for granted, sentences on the estimates, and panels of data that are linear in an unknown.
+A `Fit` has the tests of what all procedures take for granted, sentences on the estimates, and panels of data
+that are linear in an unknown.
 """
 
 from __future__ import annotations
@@ -9,16 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy import stats
-from scipy.ndimage import shift
 
 from fmus.identification import balance
 from fmus.identification.balance import SMALLEST, UNLIKELY, Samples, Solution
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.recordings.clock import uniform_rate
-from fmus.identification.recordings.masks import KNOWN, good
+from fmus.identification.recordings.masks import KNOWN
 from fmus.identification.results import (
     BAR,
     LITRES_PER_MINUTE,
@@ -26,10 +25,8 @@ from fmus.identification.results import (
     Estimate,
     Finding,
     Panel,
-    ProcedureResult,
     coverage_factor,
 )
-from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
@@ -37,25 +34,9 @@ from orchestrator.data.table import Array
 LAGS, CORRELATED = 5, 0.2  # windows, and correlation of whitened residuals that is no contradiction
 UNTOLD = 5.0  # limits of a zero above which its standard deviation allows no test
 ONE_WAY = 0.9  # rank correlation of an effect with time from which on its change in time cannot be told
-ROUNDS = 4  # of fits with a delay, each without that which the one before has found
 SHIFT = 0.5  # sample times by which two sensors may be apart
 METERS = {"pressure": ("pressure sensor", BAR), "flow": ("flow meter", LITRES_PER_MINUTE)}  # by names
-MAX_POINTS = 1500  # points drawn
 Course = tuple[Array, str]  # time or oil temperature of each sample, and the word for it
-
-
-@dataclass(frozen=True)
-class Procedure:
-    """An experiment and what is estimated from it.
-
-    name       as in recordings
-    signals    that it needs, with their SI units
-    identify   the estimates from all recordings, with the parameters that are known
-    """
-
-    name: str
-    signals: Mapping[str, str]
-    identify: Callable[[Sequence[Recording], Mapping[str, Number]], ProcedureResult]
 
 
 @dataclass(frozen=True)
@@ -70,68 +51,17 @@ class Quantity:
     inverse: bool = False
 
 
-def fitted(
-    label: str,
-    recordings: Sequence[Recording],
-    signals: Collection[str],
-    prepare: Callable[[Recording], Samples],
-    start: Mapping[str, float],
-    limits: Mapping[str, float],
-    *,
-    tested: Collection[str] = (),
-    priors: Mapping[str, float] | None = None,
-    loggers: Collection[Sequence[str]] = (),
-) -> Fit:
-    """The solution of a law for all recordings, as `balance.solve`, without the delay of a logger.
+@dataclass(frozen=True)
+class Tested:
+    """An unknown whose effect is tested: words for it, and the size of the effect per unit of it."""
 
-    A delay that the data show clearly is estimated with the law. One of more than half a sample is taken out
-    of the recordings first, whose bad samples move with it.
-
-    loggers   signals that may have another logger than the others
-    """
-
-    delays = {_name(late): late for late in loggers}
-
-    def solved(late: Sequence[str]) -> Fit:
-        """With the delay of some signals, or without any."""
-        taken, fixed = 0.0, [n for n in delays if n != _name(late)]
-        for _ in range(ROUNDS):
-            moved = [_earlier(r, late, taken) for r in recordings] if taken else recordings
-            samples = [prepare(r) for r in moved]
-            solution = balance.solve(samples, start, label, limits, (*tested, *fixed), priors, delays)
-            along = [data.course(r, s.times) for r, s in zip(moved, samples, strict=True)]
-            fit = Fit(label, moved, signals, solution, along, delays, late, taken)
-            if not late or abs(fit[_name(late)]) * samples[0].rate <= SHIFT:
-                break
-            taken += fit[_name(late)]
-        return fit
-
-    problems, found = list[Problem](), list[Fit]()
-    for late in ((), *loggers):
-        try:
-            fit = solved(late)
-        except Problem as problem:  # as of a search that does not converge
-            problems.append(problem)
-            continue
-        if not late and (not delays or fit.shift(tested, tolerance=0.0).p > UNLIKELY):
-            return fit
-        found.append(fit)
-    if not found:
-        raise problems[0]
-    return min(found, key=lambda fit: fit.solution.cost)
+    words: str
+    size: Callable[..., float]  # of the signals of all samples
 
 
-def _name(late: Sequence[str]) -> str:
+def delay_of(late: Sequence[str]) -> str:
+    """Name of the delay of some signals as an unknown."""
     return f"delay of {', '.join(late)}"
-
-
-def _earlier(r: Recording, late: Sequence[str], delay: float) -> Recording:
-    """The recording with late signals moved by their delay [s]; samples that are not good become gaps."""
-    signals, samples = dict(r.signals), -delay * uniform_rate(r)
-    for n in late:
-        usable = shift(good(r, n).astype(float), samples, order=1) > 1 - 1e-9
-        signals[n] = np.where(usable, shift(r.interpolated(n), samples, mode="nearest"), np.nan)
-    return replace(r, signals=signals)
 
 
 @dataclass(frozen=True)
@@ -145,6 +75,7 @@ class Fit:
     delays       tested delays -> signals that have them
     late         signals whose delay is estimated, if any
     taken        part of it that was taken out of the recordings [s]
+    known        what the procedure takes as known
     """
 
     label: str
@@ -155,6 +86,7 @@ class Fit:
     delays: Mapping[str, Sequence[str]] = field(default_factory=dict)
     late: Sequence[str] = ()
     taken: float = 0.0
+    known: Any = None
 
     def __getitem__(self, unknown: str) -> float:
         return self.solution.fit[unknown]
@@ -181,11 +113,20 @@ class Fit:
         squares = [(one.g[:, row, :, 0] * s.sd) ** 2 for s, one in self._both]
         return np.asarray(np.sqrt(np.concatenate([x.sum(axis=0) for x in squares])))
 
+    def expect_positive(self, values: Iterable[tuple[str, float, float]], hint: str) -> None:
+        """Raise Problem if a value (name, value, standard deviation) is significantly negative."""
+        for name, value, sd in values:
+            if value < -balance.SIGNIFICANT * sd:
+                files = ", ".join(str(r.source) for r in self.recordings)
+                raise Problem(f"{files}: {name}: expected positive, got {value:.3g}: {hint}")
+
     # ---- estimates and sentences ---------------------------------------------------------------------
 
-    def estimates(self, wanted: Iterable[Quantity]) -> tuple[Estimate, ...]:
-        """Those of the quantities whose unknown the data determine."""
-        return tuple(self.estimate(q) for q in wanted if self.solution.fit.determined(q.unknown))
+    def estimates(self, wanted: Iterable[Quantity | Estimate]) -> tuple[Estimate, ...]:
+        """Those whose unknown the data determine."""
+        every = ((q, q if isinstance(q, Estimate) else self.estimate(q)) for q in wanted)
+        fit = self.solution.fit
+        return tuple(e for q, e in every if isinstance(q, Estimate) or fit.determined(q.unknown))
 
     def estimate(self, q: Quantity) -> Estimate:
         """One quantity with its interval."""
@@ -193,7 +134,7 @@ class Fit:
             return self.solution.fit.derived(q.name, q.unit, q.note, q.unknown, lambda x: q.factor / x)
         return self.solution.fit.estimate(q.name, q.unit, q.note, q.unknown, q.factor)
 
-    def remarks(self, wanted: Iterable[Quantity], law: str) -> Iterator[str]:
+    def remarks(self, wanted: Iterable[Quantity | Estimate], law: str) -> Iterator[str]:
         """What was used, which unknowns stay open, whether the law fits."""
         fit, samples = self.solution.fit, self.solution.samples
         count = sum(s.starts.size for s in samples)
@@ -207,7 +148,8 @@ class Fit:
             )
             left = f"{100 * (1 - count / possible):.2g} % is" if count < possible else "nothing is"
             yield f"{count} windows {of} are used, {left} left out because of bad samples nearby."
-        for q in {q.unknown: q for q in wanted if not fit.determined(q.unknown)}.values():
+        quantities = [q for q in wanted if isinstance(q, Quantity)]
+        for q in {q.unknown: q for q in quantities if not fit.determined(q.unknown)}.values():
             unit = "" if q.inverse else f" {q.unit}"
             yield (
                 f"The data do not determine {q.unknown}: {fit[q.unknown]:.2g} +- {fit.sd(q.unknown):.1g}"
@@ -244,6 +186,14 @@ class Fit:
             yield self.shift(free)
         yield self.model()
         yield from data.signal_findings(self.recordings, self.signals, self.label)
+
+    def effects(self, tested: Mapping[str, Tested], unit: tuple[str, float]) -> Iterator[Finding]:
+        """Whether some tested unknowns, fitted together, have an effect; in a display unit."""
+        values, covariance = self.solution.effects(np.array([self.solution.column(n) for n in tested]))
+        for one, value, sd in zip(tested.values(), values, np.sqrt(np.diag(covariance)), strict=True):
+            size = one.size(*self.solution.samples[0].raw) / unit[1]
+            sentence = f"{self.label}: {one.words} of {value * size:.2g} +- {sd * size:.1g} {unit[0]}"
+            yield Finding("model", balance.probability(value, sd), sentence)
 
     def _differences(self, name: str) -> tuple[Array, float]:
         """An unknown in the other recordings less that in the first one; probability of one for all."""
@@ -293,7 +243,7 @@ class Fit:
         least = tolerance / self.solution.samples[0].rate
         for name, late in self.delays.items():
             if self.late:
-                value, sd = self.taken + self[_name(self.late)], self.sd(_name(self.late))
+                value, sd = self.taken + self[delay_of(self.late)], self.sd(delay_of(self.late))
             else:
                 value, sd = self.solution.effect(self.solution.column(name), given)
             if not self.late or late == self.late:
@@ -304,19 +254,23 @@ class Fit:
             sentence += f"; the estimates are without this delay, the key `delay = {value:.2g}` corrects it"
         return Finding("time shift", min(1.0, len(self.delays) * p), sentence)
 
+    def over(self, name: str, along: Array) -> Array:
+        """The column of an unknown that changes in proportion to something over its range, shape (N,)."""
+        rows = self.solution.samples[0].law.rows
+        along = np.repeat((along - along.mean()) / (float(np.ptp(along)) or 1.0), rows)
+        return np.asarray(self.solution.column(name) * along)
+
     def _drift(self, name: str, words: str, given: Sequence[Array]) -> Iterator[Finding]:
         """Whether an unknown changes in time or with the temperature of the oil.
 
         A change of less than its standard deviation is no contradiction. Where its effect only grows or only
         falls with the time, nothing is told.
         """
-        solution, rows = self.solution, self.solution.samples[0].law.rows
         along, word = np.concatenate([values for values, _ in self.along]), self.along[0][1]
         size = np.abs(self.column(name))
         if np.ptp(size) and np.ptp(along) and abs(float(stats.spearmanr(size, along)[0])) >= ONE_WAY:
             return
-        along = np.repeat((along - along.mean()) / (float(np.ptp(along)) or 1.0), rows)
-        change, sd = solution.effect(solution.column(name) * along, given)
+        change, sd = self.solution.effect(self.over(name, along), given)
         percent = 100 / abs(self[name])
         yield Finding(
             "oil temperature",

@@ -228,37 +228,33 @@ class KnownParameterEffect:
     remarks: tuple[str, ...]
 
 
-def known_parameter_effects(
-    solution: Solution, parameters: Mapping[str, Number]
-) -> dict[str, KnownParameterEffect]:
-    """Effect of the known parameters on each estimated parameter of a momentum balance."""
+def known_parameter_effect(
+    solution: Solution, parameters: Mapping[str, Number], name: str
+) -> KnownParameterEffect:
+    """Effect of the known parameters on an estimated parameter of a momentum balance."""
     known = {n: parameters[n] for n in PARAMETERS if n not in solution.fit.names and n != EXACT}
-    effects = {}
-    for name, row in zip(solution.fit.names, solution.by_known(), strict=True):
-        if name not in parameters:
-            continue
-        by_known = dict(zip(PARAMETERS, map(float, row), strict=False))
-        # by one standard deviation of each known parameter, by 1 % of one without
-        by_sd = {n: by_known[n] * x.sd for n, x in known.items() if x.sd is not None}
-        by_percent = {n: by_known[n] * abs(x.value) / 100 for n, x in known.items() if x.sd is None}
-        own, unit, note, remarks = solution.fit.sd(name), parameters[name].unit, "", list[str]()
-        sd = math.sqrt(sum(x**2 for x in by_sd.values()))
-        total = math.hypot(own, sd)
-        if sd > balance.NEGLIGIBLE * own:
-            note = f"; sd {own:.2g} by the recordings, {sd:.2g} by the known parameters"
-            largest = _largest({n: x for n, x in by_sd.items() if x**2 > balance.NEGLIGIBLE * sd**2})
-            remarks.append(
-                f"the uncertainty of the known parameters adds a standard deviation of {sd:.2g} {unit} to "
-                f"the {own:.2g} {unit} from the recordings; most of it comes from {', '.join(largest)}."
-            )
-        if large := _largest({n: x for n, x in by_percent.items() if abs(x) > total}):
-            changes = ", ".join(f"{n} {100 * by_percent[n] / solution.fit[name]:+.2g} %" for n in large)
-            remarks.append(
-                "the interval assumes exact geometry and masses. An error of 1 % would change the "
-                f"value: {changes}."
-            )
-        effects[name] = KnownParameterEffect(total, note, tuple(remarks))
-    return effects
+    row = solution.by_known()[solution.fit.names.index(name)]
+    by_known = dict(zip(PARAMETERS, map(float, row), strict=False))
+    # by one standard deviation of each known parameter, by 1 % of one without
+    by_sd = {n: by_known[n] * x.sd for n, x in known.items() if x.sd is not None}
+    by_percent = {n: by_known[n] * abs(x.value) / 100 for n, x in known.items() if x.sd is None}
+    own, unit, note, remarks = solution.fit.sd(name), parameters[name].unit, "", list[str]()
+    sd = math.sqrt(sum(x**2 for x in by_sd.values()))
+    total = math.hypot(own, sd)
+    if sd > balance.NEGLIGIBLE * own:
+        note = f"; sd {own:.2g} by the recordings, {sd:.2g} by the known parameters"
+        largest = _largest({n: x for n, x in by_sd.items() if x**2 > balance.NEGLIGIBLE * sd**2})
+        remarks.append(
+            f"the uncertainty of the known parameters adds a standard deviation of {sd:.2g} {unit} to "
+            f"the {own:.2g} {unit} from the recordings; most of it comes from {', '.join(largest)}."
+        )
+    if large := _largest({n: x for n, x in by_percent.items() if abs(x) > total}):
+        changes = ", ".join(f"{n} {100 * by_percent[n] / solution.fit[name]:+.2g} %" for n in large)
+        remarks.append(
+            "the interval assumes exact geometry and masses. An error of 1 % would change the "
+            f"value: {changes}."
+        )
+    return KnownParameterEffect(total, note, tuple(remarks))
 
 
 def _largest(changes: Mapping[str, float]) -> list[str]:

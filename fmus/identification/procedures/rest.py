@@ -21,7 +21,8 @@ from scipy import stats
 from fmus.identification import balance
 from fmus.identification.balance import probability
 from fmus.identification.procedures.experiment_data import training_recordings, zero_limit
-from fmus.identification.procedures.fit import METERS, Procedure
+from fmus.identification.procedures.fit import METERS
+from fmus.identification.procedures.procedure import Computed
 from fmus.identification.recordings.masks import in_dead_zone, standard_error
 from fmus.identification.results import Curve, Estimate, Finding, Panel, ProcedureResult
 from fmus.parameters import Number
@@ -113,4 +114,4 @@ def _panels(recording: Recording, zeros: Mapping[str, Estimate]) -> Iterator[Pan
             yield Panel("time", f"reading of a {kind}", curves, "At rest", ("s", 1.0), display)
 
 
-REST = Procedure("rest", SIGNALS, identify)
+REST = Computed("rest", SIGNALS, identify)

@@ -35,21 +35,22 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 from scipy.interpolate import PchipInterpolator
-from scipy.optimize import isotonic_regression
 
 from fmus.components.chamber import Liquid
 from fmus.components.opening_curve import POINTS
 from fmus.components.orifice import Edge
 from fmus.identification import balance
-from fmus.identification.balance import UNLIKELY, Law, Normal, Samples, Solution, probability
+from fmus.identification.balance import SMALLEST, UNLIKELY, Law, Normal, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import STEP_SIGNALS, StepMeans
-from fmus.identification.procedures.fit import Fit, Procedure
+from fmus.identification.procedures.fit import Fit
+from fmus.identification.procedures.procedure import Computed
 from fmus.identification.recordings.masks import in_dead_zone, steady
 from fmus.identification.results import (
     BAR,
@@ -149,8 +150,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     """Area, dead band and rounding or table of the valve's edges, and C_R over the command."""
     tests = data.training_recordings(recordings, "valve", SIGNALS)
     found = identify_openings(tests, parameters)
-    value, sd = offset(found.solution)
-    zero = Estimate.normal("pressures without flow", value, "Pa", sd, "pressure_in - pressure_out")
+    zero = data.pressure_offset(found.solution)
     return ProcedureResult(
         procedure="valve",
         title="Valve: C_R of the metering edges over the command",
@@ -370,11 +370,15 @@ def _closed(steps: ValveSteps, c: Known) -> tuple[Mask, float]:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Free areas [m2] of one opening at its commands [V], (m,) each, ascending, and their covariance."""
+    """Free areas [m2] of one opening at its commands [V], (m,) each, ascending, and their covariance.
+
+    noise   their standard deviations without the zeros of the sensors, which all areas have in common
+    """
 
     command: Array
     area: Array
     covariance: Array
+    noise: Array
     solution: Solution
 
     @property
@@ -523,7 +527,7 @@ class ValveFit:
         """The steps without the zero of the pressures, at the commands that they would have without a lag."""
         lag = self.effects["lag"][0] if "lag" in self.freed else 0.0
         command = np.maximum(self.steps.command - lag * self.steps.change / 2, 0.0)
-        return replace(self.steps.without_zero(offset(self.solution)[0]), command=command)
+        return replace(self.steps.without_zero(data.pressure_offset(self.solution).value), command=command)
 
     @cached_property
     def openings(self) -> Mapping[str, Opening]:
@@ -550,15 +554,15 @@ class ValveFit:
         def at(command: float) -> Estimate:
             return self._drifting(lines.area(edge, command))
 
-        commands = [float(s.command.mean()) for s in self.steps.of(edge).grouped(self.known)]
-        volts = np.array([v for v in commands if v < self.known.full_command * (1 + SAME)])
-        start, known = lines.start(edge), self.known.rounding.value
-        assumed = not lines.told and lines.rounding.value == known
+        full, known = self.known.full_command, self.known.rounding.value
+        start, assumed = lines.start(edge), not lines.told and lines.rounding.value == known
         if assumed:
             note = f"rounding {known:.3g} V as known; the interval is that of any rounding"
             start = replace(start, note=note)
-        rounding = None if assumed else lines.rounding
-        return Opening(*self._to_full(volts, [at(float(v)) for v in volts]), start, rounding, at)
+        commands = np.array([s.command.mean() for s in self.steps.of(edge).grouped(self.known)])
+        commands = commands[commands < full * (1 + SAME)]
+        areas = [at(float(v)) for v in commands]
+        return Opening(commands, areas, start, full, None if assumed else lines.rounding, at)
 
     def _free(self, edge: str) -> Opening:
         """The opening with free areas.
@@ -567,27 +571,18 @@ class ValveFit:
         """
         nodes = self.nodes[edge] if edge else self.pooled
         assert nodes
-        steps, inside = self.steps.of(edge), nodes.command < self.known.full_command * (1 + SAME)
-        v, sd, areas = nodes.command[inside], nodes.sd[inside], list[Estimate]()
-        rising = isotonic_regression(nodes.area[inside], weights=sd**-2.0).x
-        for measured, a, s in zip(nodes.area[inside], rising, sd, strict=True):
-            e = self._drifting(Estimate.normal("", float(measured), "m2", float(s), ""))
-            areas.append(replace(e, value=float(a), low=min(e.low, float(a)), high=max(e.high, float(a))))
+        steps, full = self.steps.of(edge), self.known.full_command
+        inside = nodes.command < full * (1 + SAME)
+        v, area, sd = nodes.command[inside], nodes.area[inside], nodes.sd[inside]
+        every = zip(area, sd, strict=True)
+        areas = [self._drifting(Estimate.normal("", float(x), "m2", float(y), "")) for x, y in every]
         # a meter in its dead zone does not tell that the edge is closed
         shut = np.unique(np.round(steps.command[steps.closed & ~steps.dead & (steps.command < v[0])], 2))
         low = float(shut[-2]) if len(shut) > 1 else 0.0
         value = min(max(nodes.start(), low), float(v[0]) - SHARP)
         start = Estimate("", value, "V", float(v[0] - low) / 12**0.5, low, float(v[0]), "")
-        return Opening(*self._to_full(v, areas), start, None, None)
-
-    def _to_full(self, v: Array, areas: list[Estimate]) -> tuple[Array, list[Estimate]]:
-        """Commands and areas up to full command, to which the last chord leads; its upper end is open."""
-        full, last = self.known.full_command, areas[-1]
-        if v[-1] >= full * (1 - SAME):
-            return v, areas
-        slope = (last.value - areas[-2].value) / float(v[-1] - v[-2])
-        value = last.value + slope * (full - float(v[-1]))
-        return np.append(v, full), [*areas, replace(last, value=value, high=math.inf)]
+        covariance = nodes.covariance[np.ix_(inside, inside)]
+        return Opening(v, areas, start, full, nodes=(nodes.noise[inside], covariance, self._drifting))
 
     def _drifting(self, e: Estimate) -> Estimate:
         """With an interval that covers a drift: the machine may be as warm as the oil was at either end."""
@@ -596,74 +591,138 @@ class ValveFit:
 
 
 @dataclass(frozen=True)
-class Opening:
-    """Opening of an edge where a flow was measured, and the table of it that the machine reads.
+class Curved:
+    """A monotone cubic through at most nine nodes at measured commands, fitted to all measured areas.
 
-    command   [V], shape (m,), ascending; the last one is full command
-    areas     at these [m2], with pointwise 95 % intervals; open at a full command that was not measured
+    The machine reads it as a table. Its areas minimise the squares of  (curve - area) / noise  and do not
+    fall. Of all measured commands those are left out whose areas the others tell best.
+
     start     of the opening [V]
+    command   of the nodes [V], ascending; the last one is full command
+    areas     at these [m2], with pointwise 95 % intervals; open at a full command that was not measured
+    p         probability of residuals as large if the curve can follow the areas
+    off       largest of these over the last area, and its command
+    """
+
+    start: float
+    command: Array
+    areas: Sequence[Estimate]
+    p: float
+    off: tuple[float, float]
+
+    def drawn(self, command: Array) -> Array:
+        """Areas [m2] as the machine has them, at commands (n,)."""
+        return _cubic(self.start, self.command, np.array([e.value for e in self.areas]), command)
+
+    def point(self, k: int, widest: Estimate, name: str, note: str) -> Estimate:
+        """One of the areas relative to that of an edge at full command."""
+        e, full = self.areas[k], widest.value
+        return Estimate(name, e.value / full, "1", e.sd / full, e.low / full, e.high / full, note)
+
+
+def _cubic(start: float, nodes: Array, areas: Array, command: Array) -> Array:
+    """As in the machine: a monotone cubic, zero up to the start, constant above the last node.
+
+    Its slope begins with zero, here by a further point before the start.
+    """
+    before = 2 * start - nodes[0]
+    cubic = PchipInterpolator([before, start, *nodes], [0.0, 0.0, *areas])
+    return np.asarray(np.where(command <= start, 0.0, cubic(np.clip(command, before, nodes[-1]))))
+
+
+def _kept(start: float, command: Array, area: Array, sd: Array, most: int) -> list[int]:
+    """Indices of at most so many nodes: one by one that is left out which costs the least chi-square."""
+    kept = [*range(area.size)]
+    while len(kept) > most:
+        fewer = [kept[:k] + kept[k + 1 :] for k in range(len(kept) - 1)]
+        off = [((_cubic(start, command[n], area[n], command) - area) / sd) ** 2 for n in fewer]
+        kept = fewer[int(np.argmin(np.sum(off, axis=1)))]
+    return kept
+
+
+def _fitted_nodes(start: float, command: Array, area: Array, sd: Array, chosen: Sequence[int]) -> Any:
+    """Rises of the curve from node to node over the last area, by least squares; none is negative."""
+    nodes, size = command[list(chosen)], area[-1]
+    first = np.maximum(np.diff(area[list(chosen)], prepend=0.0), 0.0) / size
+
+    def off(rises: Array) -> Array:
+        return np.asarray((_cubic(start, nodes, np.cumsum(rises) * size, command) - area) / sd)
+
+    return optimize.least_squares(off, first + SMALLEST, bounds=(0.0, np.inf), x_scale="jac")
+
+
+@dataclass(frozen=True)
+class Opening:
+    """Opening of an edge where a flow was measured, and the curve that the machine reads.
+
+    command   [V], shape (m,), ascending
+    areas     at these [m2], with pointwise 95 % intervals
+    start     of the opening [V]
+    full_command   [V]
     rounding  of its start [V], if that is not the known one
     line      area of a straight line at a command [V]; None for free areas
+    nodes     of free areas: noise, covariance, and what widens the interval of an estimate
     """
 
     command: Array
     areas: Sequence[Estimate]
     start: Estimate
-    rounding: Estimate | None
-    line: Callable[[float], Estimate] | None
-
-    @property
-    def full(self) -> Estimate:
-        """Area at full command [m2]."""
-        return self.areas[-1]
+    full_command: float
+    rounding: Estimate | None = None
+    line: Callable[[float], Estimate] | None = None
+    nodes: tuple[Array, Array, Callable[[Estimate], Estimate]] | None = None
 
     @property
     def reached(self) -> bool:
         """Whether a flow was measured at full command."""
-        return math.isfinite(self.full.high)
+        return bool(self.command[-1] >= self.full_command * (1 - SAME))
+
+    @property
+    def full(self) -> Estimate:
+        """Area at full command [m2]."""
+        return self.line(self.full_command) if self.line and self.reached else self.curve.areas[-1]
+
+    @cached_property
+    def curve(self) -> Curved:
+        """The curve through at most nine of the areas."""
+        v, area, p = self.command, np.array([e.value for e in self.areas]), 1.0
+        sd = self.nodes[0] if self.nodes else np.full(v.size, SMALLEST * area[-1])
+        chosen = _kept(self.start.value, v, area, sd, POINTS - 1 - (not self.reached))
+        found = _fitted_nodes(self.start.value, v, area, sd, chosen)
+        values, off = np.cumsum(found.x) * area[-1], found.fun * sd
+        if len(chosen) < area.size:
+            p = float(stats.chi2.sf(2 * found.cost, area.size - len(chosen)))
+        if self.nodes:
+            _, covariance, widened = self.nodes
+            by_area = np.tri(len(chosen)) @ np.linalg.pinv(found.jac / area[-1]) / sd
+            # what the curve cannot follow is an error, too
+            sds = np.sqrt(np.diag(by_area @ (covariance + np.diag(off**2)) @ by_area.T))
+            every = zip(values, sds, strict=True)
+            areas = [widened(Estimate.normal("", float(x), "m2", float(y), "")) for x, y in every]
+        else:
+            areas = [self.areas[k] for k in chosen]
+        nodes, worst = v[chosen], int(np.abs(off).argmax())
+        if not self.reached:  # to full command leads the last chord of the areas; its upper end is open
+            slope = (area[-1] - area[-2]) / float(v[-1] - v[-2])
+            value = max(float(area[-1] + slope * (self.full_command - v[-1])), areas[-1].value)
+            nodes, areas = (
+                np.append(nodes, self.full_command),
+                [*areas, replace(areas[-1], value=value, high=math.inf)],
+            )
+        return Curved(self.start.value, nodes, areas, p, (float(abs(off[worst] / area[-1])), float(v[worst])))
 
     def at(self, command: float) -> Estimate | None:
         """Area where it is known: between the measured commands for a line, else at these."""
         k = int(np.argmin(np.abs(self.command - command)))
         if abs(self.command[k] - command) <= SAME * self.command[-1]:
             return self.areas[k]
-        measured = self.command if self.reached else self.command[:-1]
-        return self.line(command) if self.line and measured[0] < command < measured[-1] else None
-
-    def relative(self, k: int, widest: Opening, name: str, note: str) -> Estimate:
-        """One of the areas relative to that of an edge at full command."""
-        e, full = self.areas[k], widest.full.value
-        return Estimate(name, e.value / full, "1", e.sd / full, e.low / full, e.high / full, note)
-
-    @cached_property
-    def table(self) -> list[int]:
-        """Indices of at most nine areas with a cubic that is near all of them, in halves of their intervals.
-
-        Each further one is where the cubic is farthest off.
-        """
-        area = np.array([e.value for e in self.areas])
-        half = np.array([max((e.high - e.low) / 2, 1e-4 * area[-1]) for e in self.areas])
-        chosen = [area.size - 1]
-        for _ in range(min(POINTS - 1, area.size) - 1):
-            off = np.abs(self.through(chosen, self.command) - area) / half
-            chosen = sorted({*chosen, int(off.argmax())})
-        return chosen
-
-    def through(self, chosen: Sequence[int], command: Array) -> Array:
-        """Areas as in the machine: a monotone cubic through some measured ones, constant above the last.
-
-        Its slope begins with zero, here by a further point before the start.
-        """
-        first, v = self.start.value, self.command[list(chosen)]
-        before = 2 * first - v[0]
-        cubic = PchipInterpolator([before, first, *v], [0.0, 0.0, *(self.areas[k].value for k in chosen)])
-        return np.asarray(np.where(command <= first, 0.0, cubic(np.clip(command, before, v[-1]))))
+        return self.line(command) if self.line and self.command[0] < command < self.command[-1] else None
 
     def drawn(self, command: Array) -> Array:
         """Areas [m2] as the machine has them, at commands (n,)."""
         if self.line:
             return np.array([self.line(float(v)).value for v in command])
-        return self.through(self.table, command)
+        return self.curve.drawn(command)
 
 
 def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
@@ -680,13 +739,8 @@ def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
     if near and near.straight and not outside:
         return near
     far = _fit(steps, c, {n: x * FURTHER ** (n in PRESSURES) for n, x in limits.items()})
-    within = abs(offset(far.solution)[0]) < FURTHER * limit
+    within = abs(data.pressure_offset(far.solution).value) < FURTHER * limit
     return far if near is None or (within and (outside or far.straight)) else near
-
-
-def offset(solution: Solution) -> tuple[float, float]:
-    """Pressure difference without flow [Pa], and its standard deviation."""
-    return solution.every.combination({"pressure_in": 1.0, "pressure_out": -1.0})
 
 
 def free_offset(solution: Solution) -> tuple[float, float]:
@@ -699,7 +753,9 @@ def free_offset(solution: Solution) -> tuple[float, float]:
     step = alone.step(e, solution.every.values[kept])
     left = e + step @ alone.columns
     scatter = max(1.0, float(left @ left) / max(solution.fit.freedom, 1))
-    return offset(solution)[0] + float(step[row]), math.sqrt(alone.inverse[row, row] * scatter)
+    return data.pressure_offset(solution).value + float(step[row]), math.sqrt(
+        alone.inverse[row, row] * scatter
+    )
 
 
 def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
@@ -754,7 +810,9 @@ def _nodes(steps: ValveSteps, c: Known, solved: Solve, labels: Sequence[str]) ->
     for edge, (at, names) in own.items():
         rows = [solution.fit.names.index(n) for n in names]
         covariance = solution.fit.covariance[np.ix_(rows, rows)]
-        nodes[edge] = Nodes(at, solution.fit.values[rows], covariance, solution)
+        scatter = max(1.0, solution.fit.times_noise) if solution.fit.misfit else 1.0
+        noise = scatter / np.array([np.linalg.norm(solution.column(n)) for n in names])
+        nodes[edge] = Nodes(at, solution.fit.values[rows], covariance, noise, solution)
     return nodes
 
 
@@ -910,7 +968,7 @@ def _estimates(found: ValveFit) -> Iterator[Estimate]:
 
 def _of(opening: Opening, suffix: str, note: str) -> Iterator[Estimate]:
     """Area, dead band and rounding of an opening."""
-    where = "" if opening.reached else f", extrapolated from {opening.command[-2]:.3g} V"
+    where = "" if opening.reached else f", extrapolated from {opening.command[-1]:.3g} V"
     about = f"{note}, section 4(a), with C_d and density as known{where}"
     yield replace(opening.full, name=f"valve_area{suffix}", note=about)
     about = ", ".join(filter(None, (note, "section 4(a)", opening.start.note)))
@@ -927,9 +985,9 @@ def _others(found: ValveFit) -> Iterator[Estimate]:
     for edge, opening in found.openings.items():
         own = found.on_line(found.straight, edge) if found.straight else opening
         yield from _of(own, f"[{edge}]", f"fit of {np.count_nonzero(found.steps.of(edge).good)} steps")
-        for k in opening.table if not found.straight else ():
-            note, name = "point of the table, relative to valve_area", f"({opening.command[k]:.3g} V)"
-            yield opening.relative(k, found.widest, f"opening[{edge}]{name}", note)
+        for k, v in enumerate(opening.curve.command if not found.straight else ()):
+            note, name = "point of the table, relative to valve_area", f"opening[{edge}]({v:.3g} V)"
+            yield opening.curve.point(k, found.widest.full, name, note)
 
 
 def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estimate]:
@@ -951,13 +1009,12 @@ def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estim
                 yield exact(f"{name}_opening_1", 0.0, "1", note)
             continue
         source = next(e for e in (edge, other, *found.openings) if e in found.openings)
-        opening, note = found.openings[source], f"edge {source}, section 4(a); relative to valve_area"
-        commands = opening.start.value, *opening.command[opening.table]
-        for i, command in enumerate(commands, 1):
+        curve, note = found.openings[source].curve, f"edge {source}, section 4(a); relative to valve_area"
+        for i, command in enumerate((curve.start, *curve.command), 1):
             yield exact(f"{name}_command_{i}", float(command), "V", note)
         yield exact(f"{name}_opening_1", 0.0, "1", note)
-        for i, k in enumerate(opening.table, 2):
-            point = opening.relative(k, found.widest, f"{name}_opening_{i}", note)
+        for k in range(len(curve.areas)):
+            point = curve.point(k, found.widest.full, f"{name}_opening_{k + 2}", note)
             yield replace(point, listed=f"{name}_openings")
 
 
@@ -1005,10 +1062,18 @@ def _remarks(found: ValveFit, zero: Estimate) -> Iterator[str]:
             f"A straight line does not suffice ({test}). The openings are tables, valve_pa_commands, "
             "valve_pa_openings and so on, which the machine reads in place of valve_dead_band."
         )
+    for edge, opening in found.distinct.items() if not found.straight else ():
+        curve, (off, command) = opening.curve, opening.curve.off
+        if curve.p < UNLIKELY:
+            yield (
+                f"{edge or 'All edges'}: no table of {len(curve.areas)} points can "
+                f"follow all measured areas (chi-square test, {_chance(curve.p)}): it is off by "
+                f"{100 * off:.2g} % of the largest area at {command:.3g} V."
+            )
     for edge, opening in found.openings.items():
         if not opening.reached:
             yield (
-                f"{edge}: no flow was measured above {opening.command[-2]:.3g} V, so the area at "
+                f"{edge}: no flow was measured above {opening.command[-1]:.3g} V, so the area at "
                 f"{c.full_command:.3g} V is extrapolated. Hold the full command twice in such an experiment."
             )
     edges = found.openings
@@ -1070,4 +1135,4 @@ def panels(found: ValveFit) -> tuple[Panel, ...]:
     )
 
 
-VALVE = Procedure("valve", SIGNALS, identify)
+VALVE = Computed("valve", SIGNALS, identify)

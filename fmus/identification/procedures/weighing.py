@@ -17,9 +17,8 @@ independent of load. The payload is a point mass at or below the tip, at the tip
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -27,9 +26,9 @@ from fmus.identification import balance
 from fmus.identification.balance import Samples, Solution
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance as momentum
-from fmus.identification.procedures.fit import Fit, Procedure, Quantity, fitted
-from fmus.identification.results import Estimate, Panel, ProcedureResult
-from fmus.parameters import Number
+from fmus.identification.procedures.fit import Fit, Quantity
+from fmus.identification.procedures.procedure import Parameters, Parts, Procedure, Recordings
+from fmus.identification.results import Estimate, Panel
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
@@ -39,7 +38,6 @@ SIGNALS: Mapping[str, str] = dict.fromkeys(momentum.ANGLES, "rad") | dict.fromke
     momentum.PRESSURES[JOINT], "Pa"
 )
 HEAD, DAMPING = "manipulator.head_mass", f"manipulator.{JOINT}_piston_damping"
-CONDITION = "payload"
 WINDOW = 0.6  # s: longer than by default, because the motion is slow
 SIGN_ROUNDING = 0.05  # rms speeds over which the sign of the dry friction is rounded
 SLOW = 0.2  # rms speeds below which a sample is left out
@@ -48,122 +46,139 @@ BOTH_WAYS = 0.2  # smallest share of the way up, and of the way down, in all of 
 
 @dataclass(frozen=True)
 class Weighed:
-    """Recordings of the boom and the fit of their masses and friction; `head` is the known mass [kg].
+    """What is known: parameters of the machine, the unknown mass of each recording, the empty ones of these.
 
-    If the model does not fit, zeros of the sensors would explain what it lacks: masses then are those of
-    `plain`, the fit without zeros, and the zeros that the data sheets allow are in their intervals.
+    plain   the fit without zeros if the model does not fit: zeros would explain what it lacks. Masses then
+            are those of `plain`, and the zeros that the data sheets allow are in their intervals
     """
 
-    fit: Fit
-    plain: Solution
-    head: float
+    p: Array
+    masses: tuple[str, ...]
+    stated: tuple[float | None, ...]
+    plain: Solution | None = None
+
+    @classmethod
+    def of(cls, tests: Recordings, parameters: Parameters) -> "Weighed":
+        masses = tuple(f"payload[{r.source.stem}]" for r in tests)
+        return cls(
+            momentum.parameter_vector(parameters), masses, tuple(data.stated(r, "payload") for r in tests)
+        )
+
+    @property
+    def head(self) -> float:
+        """Known mass of the empty head [kg]."""
+        return float(self.p[momentum.PARAMETERS.index(HEAD)])
 
     @property
     def tares(self) -> list[int]:
         """The recordings of the empty head."""
-        return [k for k, r in enumerate(self.fit.recordings) if data.stated(r, CONDITION) == 0.0]
+        return [k for k, x in enumerate(self.stated) if x == 0.0]
 
-    def payload(self, k: int) -> tuple[float, float]:
-        """Payload [kg] of a recording and its standard deviation."""
-        solution, misfit = self.fit.solution, self.fit.solution.fit.misfit
-        fit = self.plain.fit if misfit else solution.fit
-        contrast = np.zeros(len(fit.names))
+    @property
+    def how(self) -> str:
+        """For the note of an estimate."""
+        tares = len(self.tares)
+        less = f"the tare of {tares} recording{'s' * (tares > 1)}" if tares else "the known mass of the head"
+        return f"moments of the boom's cylinder, less {less}"
+
+
+def _samples(tests: Recordings, known: Weighed) -> Parts:
+    return [data.with_course(r, _moving(r, mass, known)) for r, mass in zip(tests, known.masses, strict=True)]
+
+
+def _moving(recording: Recording, mass: str, known: Weighed) -> Samples:
+    """With a mass of its own; the boom moves up and down."""
+    s = momentum.joint_samples(
+        recording, JOINT, (HEAD, DAMPING), known.p, window=WINDOW, slow=SLOW, rounding=SIGN_ROUNDING
+    )
+    speed = s.filtered(s.raw)[3 + momentum.JOINTS.index(JOINT)][s.centres]
+    up, down = float(np.sum(np.maximum(speed, 0.0))), float(np.sum(np.maximum(-speed, 0.0)))
+    if min(up, down) < BOTH_WAYS * (up + down) or not up + down:
+        raise Problem(
+            f"{recording.source}: manipulator.{JOINT}_angle: expected a slow motion up and down, in "
+            f"which friction averages out, got {100 * up / (up + down or 1.0):.0f} % of the way up"
+        )
+    return replace(s, names=(mass, *s.names[1:]))
+
+
+def _refined(fit: Fit, again: Callable[..., Fit]) -> Fit:
+    misfit = fit.solution.fit.misfit
+    return (
+        replace(fit, known=replace(fit.known, plain=again(limits=lambda _: {}).solution)) if misfit else fit
+    )
+
+
+def payloads(fit: Fit) -> dict[int, tuple[float, float]]:
+    """Payload [kg] of each recording that is not of the empty head, and its standard deviation."""
+    solution, known = fit.solution, fit.known
+    used, found = (known.plain or solution).fit, {}
+    for k in range(len(known.masses)):
+        contrast = np.zeros(len(used.names))
         contrast[k] = 1.0
-        for tare in self.tares:
-            contrast[tare] -= 1.0 / len(self.tares)
-        value = float(contrast @ fit.values) - (0.0 if self.tares else self.head)
-        variance = float(contrast @ fit.covariance @ contrast)
-        if misfit:
-            by_residual = contrast @ self.plain.normal.inverse @ self.plain.normal.columns
-            columns = solution.normal.columns[len(fit.names) :]
-            limits = np.array(list(solution.limits.values()))
-            variance += float(np.sum((balance.limit_sd(1.0) * limits * (columns @ by_residual)) ** 2))
-        return value, math.sqrt(variance)
+        for tare in known.tares:
+            contrast[tare] -= 1.0 / len(known.tares)
+        value = float(contrast @ used.values) - (0.0 if known.tares else known.head)
+        variance = float(contrast @ used.covariance @ contrast)
+        if known.plain:
+            by_residual = contrast @ known.plain.normal.inverse @ known.plain.normal.columns
+            columns, limits = solution.normal.columns[len(used.names) :], [*solution.limits.values()]
+            by_zero = balance.limit_sd(1.0) * np.array(limits) * (columns @ by_residual)
+            variance += float(np.sum(by_zero**2))
+        if k not in known.tares:
+            found[k] = value, math.sqrt(variance)
+    return found
 
 
-def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
-    """The payload of each recording that is not one of the empty head."""
-    tests = data.training_recordings(recordings, "weighing", SIGNALS)
-    weighed = weigh(tests, momentum.parameter_vector(parameters))
-    fit, tares = weighed.fit, len(weighed.tares)
-    less = f"the tare of {tares} recording{'s' * (tares > 1)}" if tares else "the known mass of the head"
-    how = f"moments of the boom's cylinder, less {less}"
-    names = fit.solution.fit.names
-    payloads = {k: weighed.payload(k) for k in range(len(tests)) if k not in weighed.tares}
-    units = ("s", 1.0), ("kN.m", 1e3)
-    panels = (
-        fit.over_time(
-            Panel("time", "moment of the mass", (), tests[k].source.stem, *units), names[k], k, weighed.head
-        )
-        for k in range(len(tests))
-    )
-    friction = (
-        Quantity("viscous friction", "N.s/m", DAMPING, how),
-        Quantity("dry friction", "N", momentum.DRY, how),
-    )
-    return ProcedureResult(
-        procedure="weighing",
-        title="Payload from the pressures of the boom's cylinder",
-        figure=0,
-        estimates=(),
-        panels=tuple(panel for both in panels for panel in both),
-        remarks=tuple(_remarks(weighed, payloads)),
-        others=(
-            *(Estimate.normal(names[k], value, "kg", sd, how) for k, (value, sd) in payloads.items()),
-            *map(fit.estimate, friction),
-        ),
-        findings=tuple(fit.findings({DAMPING: "friction"})),
-    )
+def _others(fit: Fit) -> Iterator[Estimate]:
+    known = fit.known
+    for k, (value, sd) in payloads(fit).items():
+        yield Estimate.normal(known.masses[k], value, "kg", sd, known.how)
+    yield fit.estimate(Quantity("viscous friction", "N.s/m", DAMPING, known.how))
+    yield fit.estimate(Quantity("dry friction", "N", momentum.DRY, known.how))
 
 
-def weigh(recordings: Sequence[Recording], p: Array) -> Weighed:
-    """Masses and friction of all recordings together; Problem if the boom does not move up and down."""
-    names = {r.source: f"payload[{r.source.stem}]" for r in recordings}
-    head = float(p[momentum.PARAMETERS.index(HEAD)])
-
-    def prepare(recording: Recording) -> Samples:
-        """With a mass of its own; the boom moves up and down."""
-        s = momentum.joint_samples(
-            recording, JOINT, (HEAD, DAMPING), p, window=WINDOW, slow=SLOW, rounding=SIGN_ROUNDING
-        )
-        speed = s.filtered(s.raw)[3 + momentum.JOINTS.index(JOINT)][s.centres]
-        up, down = float(np.sum(np.maximum(speed, 0.0))), float(np.sum(np.maximum(-speed, 0.0)))
-        if min(up, down) < BOTH_WAYS * (up + down) or not up + down:
-            raise Problem(
-                f"{recording.source}: manipulator.{JOINT}_angle: expected a slow motion up and down, in "
-                f"which friction averages out, got {100 * up / (up + down or 1.0):.0f} % of the way up"
-            )
-        return replace(s, names=(names[recording.source], *s.names[1:]))
-
-    start = dict.fromkeys(names.values(), head) | {DAMPING: 0.0, momentum.DRY: 0.0, momentum.OFFSET: 0.0}
-    limits = {n: max(data.zero_limit(r, n) for r in recordings) for n in momentum.PRESSURES[JOINT]}
-    solve = partial(fitted, "weighing", recordings, SIGNALS, prepare, start, tested=(momentum.OFFSET,))
-    fit = solve(limits=limits)
-    plain = solve(limits={}).solution if fit.solution.fit.misfit else fit.solution
-    return Weighed(fit, plain, head)
+def _panels(fit: Fit) -> Iterator[Panel]:
+    for k, (r, mass) in enumerate(zip(fit.recordings, fit.known.masses, strict=True)):
+        panel = Panel("time", "moment of the mass", (), r.source.stem, ("s", 1.0), ("kN.m", 1e3))
+        yield from fit.over_time(panel, mass, k, fit.known.head)
 
 
-def _remarks(weighed: Weighed, payloads: Mapping[int, tuple[float, float]]) -> Iterator[str]:
-    fit, recordings = weighed.fit.solution.fit, weighed.fit.recordings
-    yield from weighed.fit.remarks((), "The balance of the boom")
-    if not payloads:
-        yield f"All recordings are of the empty head ({CONDITION} = 0): there is no payload to weigh."
-    for k, (value, sd) in payloads.items():
-        stated = data.stated(recordings[k], CONDITION)
-        if stated is not None:
+def _remarks(fit: Fit) -> Iterator[str]:
+    known, found = fit.known, payloads(fit)
+    if not found:
+        yield "All recordings are of the empty head (payload = 0): there is no payload to weigh."
+    for k, (value, sd) in found.items():
+        name = known.masses[k]
+        if stated := known.stated[k]:
             off = 100 * (value / stated - 1)
-            yield f"{fit.names[k]}: the recording states {stated:.6g} kg; the estimate is {off:+.2g} % off."
-        if not weighed.tares:
+            yield f"{name}: the recording states {stated:.6g} kg; the estimate is {off:+.2g} % off."
+        if not known.tares:
             yield (
-                f"{fit.names[k]}: there is no recording of the empty head, so errors of the arm's masses are "
+                f"{name}: there is no recording of the empty head, so errors of the arm's masses are "
                 f"not compensated; zeros of {', '.join(momentum.PRESSURES[JOINT])} are part of the interval, "
                 f"{sd:.2g} kg."
             )
-    for k in weighed.tares:
-        yield (
-            f"{recordings[k].source.name}: the empty head weighs "
-            f"{fit.values[k] - weighed.head:+.3g} kg more than the known value."
-        )
+    for k in known.tares:
+        more, file = fit[known.masses[k]] - known.head, fit.recordings[k].source.name
+        yield f"{file}: the empty head weighs {more:+.3g} kg more than the known value."
 
 
-WEIGHING = Procedure("weighing", SIGNALS, identify)
+WEIGHING = Procedure(
+    name="weighing",
+    title="Payload from the pressures of the boom's cylinder",
+    figure=0,
+    signals=SIGNALS,
+    law="The balance of the boom",
+    known=Weighed.of,
+    samples=_samples,
+    start=lambda known: (
+        dict.fromkeys(known.masses, known.head) | {DAMPING: 0.0, momentum.DRY: 0.0, momentum.OFFSET: 0.0}
+    ),
+    limits=lambda tests: {n: max(data.zero_limit(r, n) for r in tests) for n in momentum.PRESSURES[JOINT]},
+    tested=[momentum.OFFSET],
+    refined=_refined,
+    others=_others,
+    panels=_panels,
+    remarks=_remarks,
+    drift={DAMPING: "friction"},
+)

@@ -22,6 +22,7 @@ from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import READABLE, Array, TextFormat, read_columns
 
 MACHINE, REST, NOTE = "machine", "rest", "note"
+TEMPERATURE = "oil_temperature"  # an optional signal of all recordings [K]
 MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
 # keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
 CONDITIONS: Mapping[str, tuple[str, ...]] = {
@@ -29,6 +30,7 @@ CONDITIONS: Mapping[str, tuple[str, ...]] = {
     "hose_resistance": ("length", "diameter", "density", "viscosity"),
     "hose_dynamics": ("length", "diameter", "density", "viscosity"),
     "motor_leakage": ("shaft", "tank_pressure"),
+    "seal_leakage": ("bore",),
     "damping": ("joint", "tank_pressure"),
     "weighing": ("payload", "tank_pressure"),
     MACHINE: ("tank_pressure",),
@@ -39,6 +41,7 @@ CHOICES = {"edge": ("P-A", "B-T", "P-B", "A-T"), "shaft": ("locked",), "joint": 
 NUMBERS = {
     "length": "m",
     "diameter": "m",
+    "bore": "m",
     "density": "kg/m3",
     "viscosity": "Pa.s",
     "tank_pressure": "Pa",

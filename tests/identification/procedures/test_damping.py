@@ -11,7 +11,8 @@ from kit import shards
 from kit.mistakes import problem, table
 
 from fmus.identification import results
-from fmus.identification.procedures.damping import BY_JOINT, identify, joint_fit
+from fmus.identification.procedures.damping import BY_JOINT, identify, of_joint
+from fmus.identification.procedures.procedure import fit_of
 from orchestrator.data.recording import Sensor
 
 JOINTS = tuple(BY_JOINT)
@@ -26,7 +27,7 @@ def truth(joint):
 def found(record):
     """B, its standard deviation."""
     joint = record.text_condition("joint")
-    fit, _ = joint_fit(joint, [record], KNOWN)
+    fit = fit_of(*of_joint(joint, [record], KNOWN), KNOWN)
     return fit[BY_JOINT[joint].theta], fit.sd(BY_JOINT[joint].theta)
 
 

@@ -14,7 +14,7 @@ from kit.mistakes import problem
 from fmus.identification.balance import Regression
 from fmus.identification.procedures import damping, experiment_data, momentum_balance, rest, valve
 from fmus.identification.procedures.fit import Fit
-from fmus.identification.procedures.hoses import identify_resistance
+from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
 from fmus.identification.recordings.reading import take
 from fmus.parameters import Number
 from orchestrator.data.recording import Recording
@@ -58,10 +58,10 @@ def test_lengths_of_one_hose_differ_by_less_than_a_thousandth():
     def sizes(factor):
         (record,) = bench.moving_hose(1, groups=1, length=1.0)
         own = {**bench.HOSE, "length": bench.LENGTH * factor}
-        return experiment_data.hose_size([record, replace(record, conditions=own)])
+        return experiment_data.one_size([record, replace(record, conditions=own)], "length")
 
-    assert sizes(1.0008) == (bench.LENGTH, bench.BORE)
-    assert "identify one hose at a time" in problem(lambda: sizes(1.002))
+    assert sizes(1.0008) == bench.LENGTH
+    assert "identify one part at a time" in problem(lambda: sizes(1.002))
 
 
 @pytest.mark.parametrize(("rates", "steady"), [(2.5, True), (7.0, False)])
@@ -104,7 +104,7 @@ def test_a_resistance_may_change_by_two_percent_over_the_flows(change, named):
         return bench.friction(q) * (1 + change * (q / bench.LITRES - 147.5) / 255.0)
 
     (record,) = bench.steady_hose(1, drop, flows)
-    found = names(identify_resistance([record], bench.KNOWN))
+    found = names(HOSE_RESISTANCE.identify([record], bench.KNOWN))
     assert ("model" in found) == named
 
 

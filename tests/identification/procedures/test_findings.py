@@ -8,7 +8,10 @@ from identification.procedures import bench, lumped_machine, test_motor_leakage
 from identification.procedures.bench import BAR, changed, with_sensors
 
 from fmus.identification import pipeline, results
-from fmus.identification.procedures import damping, hoses, motor_leakage, rest
+from fmus.identification.procedures import damping, rest
+from fmus.identification.procedures.hose_dynamics import HOSE_DYNAMICS
+from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
+from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
 
 UP_AND_DOWN = (*np.linspace(15.0, 275.0, 14), *np.linspace(265.0, 25.0, 12))  # L/min
 
@@ -20,7 +23,7 @@ def names(result):
 def hose(change=lambda r: r, flows=UP_AND_DOWN):
     """Faults of a hose at stepped flows."""
     (record,) = bench.steady_hose(1, bench.friction, flows)
-    return names(hoses.identify_resistance([change(record)], bench.KNOWN))
+    return names(HOSE_RESISTANCE.identify([change(record)], bench.KNOWN))
 
 
 def falling(r, course):
@@ -57,7 +60,7 @@ def test_a_recorded_temperature_takes_the_place_of_time():
     course = np.clip(2 * r.time / r.time[-1] - 1, 0.0, 1.0)
     r = replace(r, units={**r.units, "oil_temperature": "K"})
     heated = changed(falling(r, course), {"oil_temperature": 310 + 9 * course})
-    found = results.named(hoses.identify_resistance([heated], bench.KNOWN).findings)
+    found = results.named(HOSE_RESISTANCE.identify([heated], bench.KNOWN).findings)
     assert any("changes with the oil temperature by -" in f.sentence for f in found)
 
 
@@ -75,7 +78,7 @@ def test_a_drift_of_a_leakage_is_named():
         return {"drain_flow": r["drain_flow"] * (1 - 0.02 * r.time / r.time[-1])}
 
     recordings = test_motor_leakage.each(less)
-    assert "oil temperature" in names(motor_leakage.identify(recordings, lumped_machine.KNOWN))
+    assert "oil temperature" in names(MOTOR_LEAKAGE.identify(recordings, lumped_machine.KNOWN))
 
 
 def at_rest(seed=0, **zeros):
@@ -116,5 +119,5 @@ def test_a_noise_that_is_described_wrongly_does_not_narrow_the_interval():
     sensors = groups[0].sensors.items()
     told = {n: replace(s, noise=s.noise / 10, resolution=s.resolution / 10) for n, s in sensors}
     wrong = [replace(g, sensors=told) for g in groups]
-    right, other = (bench.named(hoses.identify_dynamics(g, bench.KNOWN))["I"] for g in (groups, wrong))
+    right, other = (bench.named(HOSE_DYNAMICS.identify(g, bench.KNOWN))["I"] for g in (groups, wrong))
     assert other.sd == pytest.approx(right.sd, rel=0.2)

@@ -7,7 +7,9 @@ from kit.mistakes import problem
 
 from fmus.components import hose
 from fmus.identification.balance import linearised, solve
-from fmus.identification.procedures import hoses
+from fmus.identification.procedures import hose_dynamics
+from fmus.identification.procedures.hose_dynamics import HOSE_DYNAMICS
+from fmus.identification.procedures.procedure import law_of, window_samples
 from fmus.identification.results import named
 
 SEEDS = 24
@@ -16,7 +18,7 @@ SEEDS = 24
 @pytest.fixture(scope="module")
 def results():
     """The procedure over noise seeds."""
-    return [hoses.identify_dynamics(bench.moving_hose(seed), bench.KNOWN) for seed in range(SEEDS)]
+    return [HOSE_DYNAMICS.identify(bench.moving_hose(seed), bench.KNOWN) for seed in range(SEEDS)]
 
 
 def test_both_are_right_and_scaled(results):
@@ -43,12 +45,13 @@ def test_intervals_have_their_coverage(results, name, truth):
 
 START = {"I": 1e7, "C": 1e-12, "C_R": bench.RESISTANCE, "R": 0.0, "s": 0.0, "r": 0.0}
 KNOWN = bench.LENGTH, bench.BORE, bench.DENSITY, bench.VISCOSITY
-HALF_WIDTH = hoses.PERIODS / float(hose.frequency_limit(bench.LENGTH, bench.DENSITY, 1.6e9))
+HALF_WIDTH = hose_dynamics.PERIODS / float(hose.frequency_limit(bench.LENGTH, bench.DENSITY, 1.6e9))
 
 
 def alone(group, half_width=HALF_WIDTH, **fixed):
     """Samples of one group, and its fit; `fixed` unknowns keep their value."""
-    samples = hoses.prepared(group, half_width, KNOWN)
+    law = law_of(hose_dynamics.lump, 4, hose_dynamics.UNKNOWNS, len(KNOWN))
+    samples, _ = window_samples(group, hose_dynamics.SIGNALS, law, half_width, KNOWN)
     return samples, solve([samples], {**START, **fixed}, "hose", tested=fixed)
 
 
@@ -86,7 +89,7 @@ def test_noisy_regressors_do_not_bias_it_towards_zero():
 
 def test_a_distributed_hose_does_not_bias_the_inertance():
     """A hose whose inertance sees the mean flow of its ends: I is right, and so is the position s."""
-    result = hoses.identify_dynamics(bench.moving_hose(0, share=0.5), bench.KNOWN)
+    result = HOSE_DYNAMICS.identify(bench.moving_hose(0, share=0.5), bench.KNOWN)
     found = bench.named(result)
     for name, truth in (*TRUTHS, ("weight of the outlet's flow", 0.5)):
         assert abs(found[name].value - truth) < 4 * found[name].sd
@@ -97,7 +100,7 @@ def test_groups_that_differ_are_named():
     one, other = bench.moving_hose(0)
     stored = other["flow_in"] - other["flow_out"]
     more = bench.changed(other, {"flow_out": other["flow_in"] - 1.1 * stored})
-    result = hoses.identify_dynamics([one, more], bench.KNOWN)
+    result = HOSE_DYNAMICS.identify([one, more], bench.KNOWN)
     estimate = bench.named(result)["C"]
     assert estimate.low < bench.CAPACITANCE * 1.005
     assert estimate.high > bench.CAPACITANCE * 1.095
@@ -114,7 +117,7 @@ def test_samples_in_the_dead_zone_are_in_no_window():
     assert samples.starts.size > 100
     assert not np.any((samples.starts + size > 500) & (samples.starts < 900))
     still = bench.changed(group, {"flow_out": 0 * flow})
-    problem(lambda: hoses.identify_dynamics([still], bench.KNOWN), r"^hose_dynamics.csv: 0 windows[^\n]*$")
+    problem(lambda: HOSE_DYNAMICS.identify([still], bench.KNOWN), r"^hose_dynamics.csv: 0 windows[^\n]*$")
 
 
 OUTLET, FLOWS, ONE = ("pressure_out", "flow_out"), ("flow_in", "flow_out"), ("flow_out",)
@@ -123,7 +126,7 @@ OUTLET, FLOWS, ONE = ("pressure_out", "flow_out"), ("flow_in", "flow_out"), ("fl
 @pytest.mark.parametrize(("late", "delay"), [(OUTLET, 0.002), (OUTLET, 0.03), (FLOWS, 0.012), (ONE, 0.002)])
 def test_the_delay_of_a_logger_is_taken_out_and_named(late, delay):
     """0.4, 2.4 and 6 samples late, both intervals hold the truth; from half a sample on only it is named."""
-    result = hoses.identify_dynamics(bench.moving_hose(1, length=6.0, late=late, delay=delay), bench.KNOWN)
+    result = HOSE_DYNAMICS.identify(bench.moving_hose(1, length=6.0, late=late, delay=delay), bench.KNOWN)
     assert [f.fault for f in named(result.findings)] == ["time shift"] * (delay > 0.0025)
     found = bench.named(result)
     for name, truth in TRUTHS:

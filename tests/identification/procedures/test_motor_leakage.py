@@ -10,7 +10,7 @@ from identification.procedures.lumped_machine import KNOWN, PRESSURE
 from kit.mistakes import problem, table
 
 from fmus.identification import results as tests
-from fmus.identification.procedures.motor_leakage import identify
+from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
 from orchestrator.data.recording import Sensor
 
 R_IN, R_EX = 2.0e12, 1.1e12  # Pa.s/m3
@@ -57,7 +57,7 @@ def assert_within_errors(result):
 @pytest.mark.parametrize("tank", [0.0, 4e5])
 def test_precise_instruments_give_both_resistances(tank):
     """Rising pressures are left out, both directions agree, and pressures are relative to the return line."""
-    result = identify(recordings(tank=tank), KNOWN)
+    result = MOTOR_LEAKAGE.identify(recordings(tank=tank), KNOWN)
     assert (result.figure, len(result.panels)) == (8, 4)
     for e in result.estimates:
         assert e.unit == "Pa.s/m3"
@@ -67,7 +67,7 @@ def test_precise_instruments_give_both_resistances(tank):
 
 def test_intervals_have_their_coverage():
     """In 60 noisy data sets 95 % of the intervals cover the truth; values within 2 %, few false alarms."""
-    results = [identify(recordings(seed), KNOWN) for seed in range(60)]
+    results = [MOTOR_LEAKAGE.identify(recordings(seed), KNOWN) for seed in range(60)]
     for name, truth in TRUTH.items():
         estimates = [named(result)[name] for result in results]
         assert_coverage(truth, estimates)
@@ -79,13 +79,13 @@ def test_intervals_have_their_coverage():
 
 def test_a_flow_that_the_laminar_law_neglects_is_reported():
     """A quadratic part of 3 % at full pressure."""
-    found = tests.named(identify(recordings(1, square=1e-21), KNOWN).findings)
+    found = tests.named(MOTOR_LEAKAGE.identify(recordings(1, square=1e-21), KNOWN).findings)
     assert any(f.fault == "model" and "quadratic part of the internal" in f.sentence for f in found)
 
 
 def test_a_port_at_the_end_of_its_transducer_is_left_out():
     """A port at 0 bar reads noise cut at zero, whose mean is too high: no bias from it."""
-    assert_within_errors(identify([*recordings(3), *recordings(4, low=0.0)], KNOWN))
+    assert_within_errors(MOTOR_LEAKAGE.identify([*recordings(3), *recordings(4, low=0.0)], KNOWN))
 
 
 def each(change, seed=1, **more):
@@ -98,7 +98,7 @@ def test_offsets_of_meters_and_transducers_are_subtracted():
     shifted = each(
         lambda r: {"pressure_a": r["pressure_a"] + 2e5, "pressure_b": r["pressure_b"] - 1e5}, zero=3e-6 / 60
     )
-    result = identify(shifted, KNOWN)
+    result = MOTOR_LEAKAGE.identify(shifted, KNOWN)
     assert_within_errors(result)
     assert all(e.sd < 1e-3 * e.value for e in result.estimates)
 
@@ -109,7 +109,7 @@ def test_leakage_too_small_to_be_determined_is_not_estimated():
     still = each(
         lambda r: {n: METER.noise * random.standard_normal(r.time.size) for n in ("flow_a", "drain_flow")}
     )
-    result = identify(still, KNOWN)
+    result = MOTOR_LEAKAGE.identify(still, KNOWN)
     assert not result.estimates
     assert sum("do not determine" in text for text in result.remarks) == 2
 
@@ -119,21 +119,23 @@ def test_ripple_of_the_pump_does_not_hide_a_step():
     rippled = each(
         lambda r: {n: r[n] + 1e5 * np.sin(2 * np.pi * 40 * r.time) for n in ("pressure_a", "pressure_b")}
     )
-    plain, waved = (identify(some, KNOWN).remarks[0] for some in (recordings(1), rippled))
+    plain, waved = (MOTOR_LEAKAGE.identify(some, KNOWN).remarks[0] for some in (recordings(1), rippled))
     assert waved == plain
 
 
 @table(__file__, "mistakes", "change, message")
 def test_wrong_data_are_refused_in_one_line(change, message):
     """A free shaft, no recording, no signal, another quantity."""
-    assert message in problem(lambda: identify([replace(r, **change) for r in recordings()], KNOWN))
+    assert message in problem(
+        lambda: MOTOR_LEAKAGE.identify([replace(r, **change) for r in recordings()], KNOWN)
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         # not a negative leakage, but a mistake
-        (lambda r: {"drain_flow": -r["drain_flow"]}, r"leakage is -.*change the sign"),
+        (lambda r: {"drain_flow": -r["drain_flow"]}, r"leakage: expected positive, got -.*change the sign"),
         # a ramp has no steady point
         (
             lambda r: dict.fromkeys(("pressure_a", "pressure_b"), 1e6 + 1e6 * r.time),
@@ -143,4 +145,4 @@ def test_wrong_data_are_refused_in_one_line(change, message):
 )
 def test_impossible_signals_are_refused_in_one_line(change, message):
     """A meter that counts backwards, pressures that never stand."""
-    assert re.search(message, problem(lambda: identify(each(change), KNOWN)))
+    assert re.search(message, problem(lambda: MOTOR_LEAKAGE.identify(each(change), KNOWN)))

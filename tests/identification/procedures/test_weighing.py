@@ -10,7 +10,7 @@ from kit.equations import piston_areas
 from kit.mistakes import problem
 
 from fmus.identification.machine import nominal
-from fmus.identification.procedures.weighing import SIGNALS, identify
+from fmus.identification.procedures.weighing import SIGNALS, WEIGHING
 from fmus.identification.recordings.reading import read
 from fmus.identification.results import named
 from fmus.rig.experiments import WEIGHED, experiment
@@ -56,7 +56,7 @@ def recording(held, seed, name="loaded", zero=0.0, up_only=False, dry=2500.0, vi
 
 def payloads(*recordings, known=KNOWN):
     """The result, and the estimates of the payloads in it."""
-    result = identify(recordings, known)
+    result = WEIGHING.identify(recordings, known)
     return result, [e for e in result.others if e.name.startswith("payload")]
 
 

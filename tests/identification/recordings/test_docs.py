@@ -7,8 +7,7 @@ from pathlib import Path
 from fmus.identification.machine import signal_names as names
 from fmus.identification.pipeline import PROCEDURES
 from fmus.identification.procedures import momentum_balance
-from fmus.identification.recording_names import MACHINE_SIGNALS
-from fmus.identification.recordings.reading import CONDITIONS, read
+from fmus.identification.recordings.reading import CONDITIONS, MACHINE_SIGNALS, read
 from orchestrator.data.description import Origin, SignalDescription, TimeDescription
 
 TEXT = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ from kit.mistakes import table
 
 from fmus.identification import machine
 from fmus.identification.machine import COMMANDS, nominal
-from fmus.identification.recording_names import check_names
+from fmus.identification.pipeline import check_names
 from fmus.identification.refinement.compiled_model import CompiledModel, delay_of, delayed_inputs
 from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.refine import compiled, refine
