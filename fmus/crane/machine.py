@@ -22,6 +22,7 @@ from fmus.components.additions import CushionWithoutColumn
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
 from fmus.contract import Quantity, Subsystem, family, nested, quantities
+from fmus.crane.axes import at_start
 from fmus.crane.controller import controlled, controller
 from fmus.crane.description import ADDITIONS, NEW, OF_SUPPLY, CraneDescription, JointDescription, read
 from fmus.crane.manipulator import NAME, Dry, manipulator
@@ -37,8 +38,8 @@ from fmus.machine.build import Build, with_values
 from fmus.machine.feasible import Mechanics
 from fmus.machine.machine import Machine, with_faults
 from fmus.machine.one_block import one_block
+from fmus.machine.parts import DRIVES, feric
 from fmus.machine.path_following import TrackedMachine
-from fmus.machine.poses import outputs_at_start
 from fmus.machine.ssp import CONTROLLED, SENSED, SystemPlan
 from fmus.operator_input.model import AXES, operator
 from fmus.operator_input.work_cycle import Move, Stem, with_program
@@ -79,7 +80,7 @@ HEAVY = 1 / 8  # of the supply pressure: a side that carries more at the start h
 def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     """The machine of a description; faults: whether its parts have faults as inputs."""
     parts = {NAME: {"rigid": manipulator(crane)}}
-    names, pose = list(dict.fromkeys(j.part for j in crane.driven)), outputs_at_start(parts[NAME]["rigid"])
+    names, pose = list(dict.fromkeys(j.part for j in crane.driven)), at_start(crane)
     for name in names:
         joints = [j for j in crane.driven if j.part == name]
         made = {v: drives(crane, name, joints, pose, v, faults) for v in FIDELITIES}
@@ -100,15 +101,26 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
 
 
 @cache
+def components() -> tuple[frozenset[str], frozenset[str]]:
+    """Names of the FMUs of a machine: of drives, and of the others."""
+    m = feric(faults=True)
+    return frozenset(DRIVES), frozenset({*m.components, *(sub.name for sub in m.drivers)} - {*DRIVES})
+
+
+@cache
 def taken() -> dict[str, str]:
-    """Words that are no names of joints -> why: other names begin with them, or a language has them."""
-    crane = read(NEW)
-    m = crane_machine(crane, faults=True)
+    """Words that are no names of joints -> why: other names begin with them, or a language has them.
+
+    The drives are those of the paper's machine.
+    """
+    crane, m = read(NEW), feric(faults=True)
     variants = [sub for family in m.families.values() for sub in family.values()]
-    subs = [*variants, *m.components.values(), *m.drivers]
+    shipped = [s for s in (*variants, *m.components.values(), *m.drivers) if s.component != NAME]
+    subs = [manipulator(crane), *shipped]
     names = [n for s in subs for g in (s.parameters, s.states, s.inputs, s.outputs) for n in quantities(g)]
     names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))] + [*quantities(Dry)]
-    joints = {*AXES, *(j.name for j in crane.joints)}  # and the axes of the paper's machine
+    joints = {*AXES, *(j.name for j in crane.joints)}  # and those of the paper's machine
+    joints |= {j.name for sub in m.families[NAME].values() for j in sub.model.joints}
     words = {n.partition("_")[0]: f"the machine has the name {n}" for n in reversed(names)}
     for language, keywords in {"Modelica": MODELICA, "C": C, "Python": kwlist}.items():
         words |= dict.fromkeys(keywords, f"{language} has it as a keyword")
@@ -246,7 +258,7 @@ def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:
     """Numbers of the paper's machine that supplies and drives have; those of joints without their names."""
     known = (numbers(s) for of in (swing, boom_stick, supplies) for s in of.VARIANTS.values())
     shipped = {x for tables in known for x in tables["parameters"].values()}
-    names, pose, found = [j.name for j in crane.driven], outputs_at_start(manipulator(crane)), {}
+    names, pose, found = [j.name for j in crane.driven], at_start(crane), {}
     parts = {j.part: [other for other in crane.driven if other.part == j.part] for j in crane.driven}
     for kind, subs in {
         "supply": [with_pressures(sub, crane) for sub in supplies.VARIANTS.values()],

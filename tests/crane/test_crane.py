@@ -25,7 +25,7 @@ from fmus.crane.check import check
 from fmus.crane.check import table as text_of
 from fmus.crane.controller import controller
 from fmus.crane.description import NEW, new, read
-from fmus.crane.machine import crane_machine, healthy
+from fmus.crane.machine import crane_machine, healthy, taken
 from fmus.crane.manipulator import manipulator
 from fmus.machine.build import with_values
 from fmus.manipulator import MANIPULATOR
@@ -105,6 +105,25 @@ def test_a_name_that_is_used_otherwise_is_refused(name, reason):
     """By the check, before the build: the beginning of a parameter or signal, a terminal, a keyword."""
     line = problem(lambda: check(renamed(name)))
     assert line.startswith(f"named.toml: [{name}] expected another name of the joint: {reason}")
+
+
+def test_all_words_of_a_machine_are_taken():
+    """Those with which names of parts, drivers and additions of the new crane begin, or the axes do."""
+    own = crane_machine(read(NEW), faults=True)
+    subs = [s for of in own.families.values() for s in of.values()] + [*own.components.values(), *own.drivers]
+    names = {n for s in subs for g in (s.parameters, s.states, s.inputs, s.outputs) for n in quantities(g)}
+    words = {n.partition("_")[0] for n in names | {s.component for s in subs}}
+    own = {"slew", "boom", "stick", "grapple", "drives", "swing"}  # the controller has swing_velocity
+    assert words - own <= taken().keys()
+
+
+@pytest.mark.parametrize("name", ["swing", "supply", "valve_actuation"])
+def test_a_file_is_not_named_like_a_part(tmp_path, name):
+    """The machine as one FMU has the name of the file, and would take the place of that part."""
+    path = tmp_path / f"{name}.toml"
+    new(path)
+    told = f"{path}: expected another name of the file: {name}.fmu is a part of a machine"
+    assert problem(lambda: check(read(path))) == told
 
 
 @shards.machine
