@@ -224,7 +224,7 @@ class Chain:
         return [x if link.follows is None else link.law(x) for link, x in zip(self.links, own, strict=True)]
 
     def slopes(self, q: ca.SX) -> list[Scalar]:
-        """Speed of each joint over that of its coordinate in q: of those that follow, the slope of the law."""
+        """Speed of each joint over that of its coordinate in q: of one that follows, the slope of its law."""
         slopes, s = list[Scalar](), ca.SX.sym("s")
         for i, link in enumerate(self.links):
             slope = 1 if link.follows is None else ca.jacobian(ca.SX(link.law(s)), s)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
+from fmus.crane import sizes
 from fmus.crane.axes import SUPPLIES, AxisCheck, Capacity, Speeds, axes_of, lifting_moment, modes
 from fmus.crane.description import DEFAULT, DRIVES, INERTIA, TABLES, CraneDescription
 from fmus.crane.machine import borrowed, components, taken
@@ -84,7 +85,9 @@ def _assumed(crane: CraneDescription) -> Iterator[str]:
         own = [(key, numbers[n]) for key, r in TABLES[table].items() for n in r if n in numbers]
         yield from _listed(f"[{table}]", [(key, x) for key, x in own if x.note == DEFAULT and x.value])
     for part, some in borrowed(crane).items() if crane.driven else ():
-        yield from _listed(f"{part}, as of the paper's machine:", [*some.items()])
+        for scaled, text in ((True, f", {sizes.SCALED}"), (False, "")):
+            own = [(n, x) for n, x in some.items() if x.note.startswith(sizes.SCALED) == scaled]
+            yield from _listed(f"{part}, as of the paper's machine{text}:", own)
 
 
 def _together(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str]:

@@ -30,6 +30,7 @@ from fmus.manipulator.friction import JointContact, PistonContact
 from fmus.parameters import SOURCES, Number
 from fmus.parameters import numbers as numbers_of
 from fmus.supply import SUPPLY
+from fmus.swing import SWING
 from orchestrator.base import toml
 from orchestrator.base.errors import Mistakes, Problem, suggest
 from orchestrator.base.files import Location, write_whole
@@ -176,6 +177,15 @@ DRIVES: Mapping[str, Keys] = {
         "leakage": _own("valve_leakage", 1.6e-14, 1e-17, 1e-9),
         "hose": _own("hose_length", 3.0, 0.01, LARGEST_LENGTH),
         "hose_bore": _own("hose_bore", 0.01905, 1e-3, 0.2),
+        "rod_flow": _key("rod_rated_flow", "m3/s", "Flow of the section to the rod side", 0.0, 0.0, 0.1),
+        **{
+            f"{side}_return": _key(f"{side}_return_area", "m2", "Meter-out edge", 0.0, 0.0, 1e-2)
+            for side in ("head", "rod")
+        },
+        **{
+            f"{side}_pilot_ratio": _key(f"{side}_pilot_ratio", "1", "Pilot ratio", 0.0, 0.0, 100.0)
+            for side in ("head", "rod")
+        },
     },
 }
 INERTIA = {
@@ -200,8 +210,12 @@ USED: Mapping[str, tuple[str, ...]] = {
     "cylinder": ("cylinder", "hydraulics"),
     "four-bar": ("cylinder", "four_bar", "hydraulics"),
 }
-# keys of a cylinder that a drive does not have: the rocker's end is its pin; it lies along a telescope
-UNUSED = {"four-bar": ("pin",), "telescope": ("base", "pin", "closed", "barrel_mass", "rod_mass")}
+# keys of tables that a drive does not have: the rocker's end is its pin; it lies along a telescope
+UNUSED: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "four-bar": {"cylinder": ("pin",)},
+    "telescope": {"cylinder": ("base", "pin", "closed", "barrel_mass", "rod_mass")},
+    "motor": {"hydraulics": ("rod_flow", "head_return", "rod_return", "head_pilot_ratio", "rod_pilot_ratio")},
+}
 BASE, TIP = "Slope of the base: the", "Tip, where the payload is, from the joint of its link"
 TABLES: Mapping[str, Keys] = {
     "base": {
@@ -229,6 +243,24 @@ TABLES: Mapping[str, Keys] = {
     "supply": {
         "pressure": _own("pressure_setting", 2.07e7, 1e5, 1e8),
         "return": _own("reservoir_pressure", 0.0, 0.0, 1e7),
+    },
+    "pump": {  # 0: at the size of the crane
+        "displacement": _key(
+            "displacement", "m3/rad", "Displacement of the load-sensing pump", 0.0, 0.0, 1e-2
+        ),
+        "margin": _key("margin", "Pa", "Pressure of the pump above the load", 0.0, 0.0, 1e8),
+        "cut_off": _key("cut_off", "Pa", "Pressure cut-off of the pump", 0.0, 0.0, 1e8),
+        "power": _key("power", "W", "Power limit of the pump", 0.0, 0.0, 1e7),
+    },
+    "engine": {
+        "speed": _key("rated_speed", "rad/s", "Rated speed of the engine", 0.0, 0.0, 1e3),
+        "power": _key("rated_power", "W", "Rated power of the engine", 0.0, 0.0, 1e7),
+    },
+    "counterbalance": {
+        "pressure": _key("counterbalance_pressure", "Pa", "Setting of the valves", 0.0, 0.0, 1e8),
+        "area": _key("counterbalance_area", "m2", "Area of the open poppet", 0.0, 0.0, 1e-2),
+        "check_area": _key("counterbalance_check_area", "m2", "Area of the check valve", 0.0, 0.0, 1e-2),
+        "neutral_area": _key("neutral_area", "m2", "From each port to the return line", 0.0, 0.0, 1e-3),
     },
     "datasheet": {  # `check` compares
         "lifting_moment": _key("lifting_moment", "N.m", "Lifting moment, gross", 0.0, 0.0),
@@ -258,10 +290,14 @@ DEFAULT = "default"  # note of a number that the file does not have
 MEANT = {"m": ("mm", "cm"), "rad": ("deg",)}  # units of a number that is out of range without one
 NEW = Path(__file__).with_name("new.toml")  # a crane to begin with
 EXAMPLES = {"m": "350 mm", "rad": "20 deg", "Pa": "207 bar", "m2": "40 mm2", "m3/s": "60 L/min"}
+EXAMPLES |= {"rad/s": "2200 rpm", "W": "90 kW"}
 EXAMPLES |= {"N.m": "120 kN.m", "m3/rad": "160 cm3/rev", "N.s/m": "30 kN.s/m", "kg": "900 kg"}
 # as data sheets write units; a moment in t.m is that of a weight
 SHEETS = {"Nm": "N.m", "kNm": "kN.m", "tm": "t.m", "mt": "t.m"}
 SHEETS |= {"cc": "cm3", "ccm": "cm3", "U": "rev", "lbs": "lb"}
+COMPENSATED = 1.2e6  # Pa, that a compensator holds over its section
+OIL_SPEED = 5.0  # m/s, in a hose at the flow of its section: usual in pressure lines
+NARROWEST = 4.8e-3  # m, hose of 3/16 in
 GRAVITY = 9.80665  # m/s2, standard
 
 
@@ -602,7 +638,7 @@ def _joint(
         numbers |= reader.numbers(f"{name}.{table}", given[table], tables[table])
     numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
     for table in USED[drive]:
-        left_out = UNUSED.get(drive if j.revolute else "telescope", ()) if table == "cylinder" else ()
+        left_out = UNUSED.get(drive if j.revolute else "telescope", {}).get(table, ())
         keys = {n: in_plane(key, axis) for n, key in DRIVES[table].items() if n not in left_out}
         numbers |= reader.numbers(f"{name}.{table}", given.get(table, {}), keys, *WORDS.get(table, ()))
     numbers |= reader.numbers(name, {n: x for n, x in given.items() if n in FOLLOWED[kind]}, FOLLOWED[kind])
@@ -613,6 +649,7 @@ def _joint(
     if j.driven:
         where, hydraulics = f"{name}.hydraulics", given.get("hydraulics", {})
         numbers |= _rated(reader, where, hydraulics, numbers, density)
+        numbers |= _by_size(numbers, density)
         part = hydraulics.get("part", j.part)
         if not isinstance(part, str) or not re.fullmatch(PART, part):
             reader.wrong(where, f"part: expected a name of small letters, digits and _, got {part!r}")
@@ -686,6 +723,29 @@ def _rated(
     coefficient = numbers_of(BOOM_STICK)["parameters"]["valve_discharge_coefficient"].value
     area = read["rated_flow"].value / (coefficient * math.sqrt(2 * read["rated_drop"].value / density))
     return {"valve_area": Number(area, "m2", "derived", "of its rated flow at a pressure drop over one edge")}
+
+
+def _by_size(read: Mapping[str, Number], density: float) -> dict[str, Number]:
+    """Numbers that the file does not have, at the size of the drive: those of the paper's boom and swing.
+
+    The dead volume follows the swept one, friction of the piston the square of its bore, the volume of a
+    motor its displacement, leakage the area of the valve; the hose has 5 m/s at the flow of the section.
+    """
+    of, size = {n: x.value for n, x in read.items()}, numbers_of(BOOM_STICK)["parameters"]
+    paper = {n: x.value for n, x in (numbers_of(SWING)["parameters"] | size).items()}
+    jet = paper["valve_discharge_coefficient"] * math.sqrt(2 * COMPENSATED / density)
+    flow = of["rated_flow"] or of["valve_area"] * jet
+    found = {"valve_leakage": of["valve_leakage"] * of["valve_area"] / paper["valve_area"]}
+    found["hose_bore"] = max(math.sqrt(4 * flow / (math.pi * OIL_SPEED)), NARROWEST)
+    if "bore" in of:
+        bore = of["bore"] / paper["boom_bore"]
+        found["dead_volume"] = of["dead_volume"] * bore**2 * of["stroke"] / paper["boom_stroke"]
+        found["piston_damping"] = of["piston_damping"] * bore**2
+    if "motor_volume" in of:
+        found["motor_volume"] = of["motor_volume"] * of["motor_displacement"] / paper["motor_displacement"]
+    least = {n: DECLARED[n].minimum or 0.0 for n in found if n in DECLARED}
+    values = {n: max(x, least.get(n, 0.0)) for n, x in found.items() if read[n].note == DEFAULT}
+    return {n: replace(read[n], value=x) for n, x in values.items()}
 
 
 def _inertia(reader: _Reader, name: str, value: Any, body: Mapping[str, Number]) -> dict[str, Number]:

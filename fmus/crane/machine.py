@@ -22,9 +22,18 @@ from fmus.components.additions import CushionWithoutColumn
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
 from fmus.contract import Quantity, Subsystem, family, nested, quantities
+from fmus.crane import sizes
 from fmus.crane.axes import at_start
 from fmus.crane.controller import controlled, controller
-from fmus.crane.description import ADDITIONS, NEW, OF_SUPPLY, CraneDescription, JointDescription, read
+from fmus.crane.description import (
+    ADDITIONS,
+    COMPENSATED,
+    NEW,
+    OF_SUPPLY,
+    CraneDescription,
+    JointDescription,
+    read,
+)
 from fmus.crane.manipulator import NAME, Dry, manipulator
 from fmus.crane.view import page_files
 from fmus.drives import cylinder, motor
@@ -74,6 +83,8 @@ SETTINGS = (  # that the paper's machine has as multiples of its supply pressure
     *("pressure_cut_off", "pump_1_pressure_setting", "pump_2_pressure_setting"),
     *("relief_pressure", "port_relief_pressure", "counterbalance_pressure", "counterbalance_band"),
 )
+# numbers of a joint for its section, 0 if they follow from others
+OF_SECTION = ("rod_rated_flow", "head_return_area", "rod_return_area", "head_pilot_ratio", "rod_pilot_ratio")
 HEAVY = 1 / 8  # of the supply pressure: a side that carries more at the start has a low pilot ratio
 
 
@@ -131,6 +142,7 @@ def with_pressures(sub: Subsystem, crane: CraneDescription) -> Subsystem:
     """A supply with the pressures of the crane, as far as it has them."""
     tables = numbers(sub)
     own = {**_settings(crane, tables["parameters"]), **crane.numbers["supply"]}
+    own |= sizes.of_supply(crane, COMPENSATED)
     found = {n: own.get(n, number) for n, number in tables["parameters"].items()}
     return replace(sub, numbers={**tables, "parameters": found})
 
@@ -159,7 +171,9 @@ def drives(
     sub = make(of_variant := fidelity(variant))
     of_swing, of_arm = swing.VARIANTS[variant], boom_stick.VARIANTS[variant]
     common = {**numbers(of_swing)["parameters"], **numbers(of_arm)["parameters"]}
-    common = {**common, **_settings(crane, common), **crane.numbers["oil"]}
+    largest = max(sizes.section_flow(crane, j, COMPENSATED) for j in joints)
+    common |= {**_settings(crane, common), **crane.numbers["oil"], **sizes.of_drives(largest, common)}
+    common |= {n: x for n, x in crane.numbers["counterbalance"].items() if x.value}
     sized = {j.name: {**j.numbers, **_sized(crane, j, common, pose)} for j in joints}
     declared, found = quantities(sub.parameters), dict[str, Number]()
     names = nested(sub.parameters, {n: n for n in declared})
@@ -225,15 +239,15 @@ def _sized(
     share = joint["valve_dead_band"] / common["valve_full_command"].value
     overlap = _derived(share, "1", "hydraulics.dead_band over valve_full_command")
     found = {f"valve_spool_overlap_{edge}": overlap for edge in EDGES}
+    if joint.motor:
+        found |= sizes.of_motor(joint)
     if "compensator_setting" not in common:
         return found
     pressure = crane.numbers["supply"]["pressure_setting"].value
     jet = common["valve_discharge_coefficient"].value * math.sqrt(2 / common["density"].value)
-    flow, note = joint["rated_flow"], "hydraulics.flow"
-    if not flow:
-        flow = joint["valve_area"] * jet * math.sqrt(common["compensator_setting"].value)
-        note = "of hydraulics.valve at compensator_setting"
-    found |= {n: _derived(flow, "m3/s", note) for n in ("section_flow", "rod_section_flow")}
+    flow = sizes.section_flow(crane, joint, common["compensator_setting"].value)
+    note = "hydraulics.flow" if joint["rated_flow"] else "of hydraulics.valve at compensator_setting"
+    found["section_flow"] = _derived(flow, "m3/s", note)
     if joint.motor:
         turn = joint["motor_displacement"] * joint["gear_ratio"]
         torque, speed = turn * pressure, flow / turn
@@ -244,14 +258,19 @@ def _sized(
             "brake_stiffness": _derived(torque / 3e-3, "N.m/rad", "3 mrad at the torque of the motor"),
             "brake_drag": _derived(0.01 * torque / speed, "N.m.s/rad", "1 % of that torque at full speed"),
         }
+    own = {n: x for n, x in joint.numbers.items() if n in OF_SECTION and x.value}
+    found["rod_section_flow"] = to_rod = own.pop("rod_rated_flow", found["section_flow"])
     head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
     force = pose[f"{joint.name}_holding_force"]
-    for side, ratio, held in (("head", head / rod, force / head), ("rod", rod / head, -force / rod)):
-        area, text = flow * ratio / (jet * math.sqrt(pressure / 2)), "half of supply.pressure at full command"
+    for side, emptied, held in (
+        ("head", to_rod.value * head / rod, force / head),
+        ("rod", flow * rod / head, -force / rod),
+    ):
+        area, text = emptied / (jet * math.sqrt(pressure / 2)), "half of supply.pressure at full command"
         found[f"{side}_return_area"] = _derived(area, "m2", text)
         as_of = "boom_head" if held > HEAVY * pressure else "boom_rod"
         found[f"{side}_pilot_ratio"] = common[f"{as_of}_pilot_ratio"]
-    return found
+    return found | own
 
 
 def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:
@@ -264,7 +283,9 @@ def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:
         "supply": [with_pressures(sub, crane) for sub in supplies.VARIANTS.values()],
         "drives": [drives(crane, n, of, pose, v) for n, of in parts.items() for v in FIDELITIES],
     }.items():
-        own = {n.partition("_"): x for s in subs for n, x in numbers(s)["parameters"].items() if x in shipped}
+        known = {n: x for s in subs for n, x in numbers(s)["parameters"].items()}
+        listed = {n: x for n, x in known.items() if x in shipped or x.note.startswith(sizes.SCALED)}
+        own = {n.partition("_"): x for n, x in listed.items()}
         found[kind] = {n[2] if n[0] in names else "".join(n): x for n, x in own.items() if x.value}
     return found
 
