@@ -7,11 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from fmus.crane import sizes
 from fmus.crane.axes import SUPPLIES, AxisCheck, Capacity, Speeds, axes_of, lifting_moment, modes
+from fmus.crane.controller import controlled
 from fmus.crane.description import DEFAULT, DRIVES, INERTIA, TABLES, CraneDescription
 from fmus.crane.machine import borrowed, components, taken
 from fmus.crane.manipulator import contacts
 from fmus.parameters import Number
-from orchestrator.base.errors import Mistakes
+from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable
 
 SMALL_LEVER = 0.25  # of the largest one: below it a joint may run over the dead point beyond an end stop
@@ -50,6 +51,10 @@ def table(
             rows.append([text, f"{told:.4g}", "no pose" if own is None else f"{own:.4g}", off])
         lines += ["", *TextTable(("data sheet", "says", "computed", "off by"), rows).lines()]
     lines += [f"warning: {crane.file}: {text}" for text in _doubts(crane, found)]
+    try:
+        controlled(crane)
+    except Problem as why:
+        lines.append(f"note: without a controller of its tip: {why}")
     lines += [f"assumed: {text}" for text in _assumed(crane)]
     return "\n".join(lines)
 

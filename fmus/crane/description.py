@@ -668,10 +668,10 @@ def _joint(
         if "from" not in given["stop"]:
             low = -high
             numbers.pop("stop_from")
-        if not low < high:
+        if low >= high:
             expected = f"above {low:g} {UNITS[kind][0]}, the lower end"
             reader.wrong(f"{name}.stop", f"at: expected {expected}, got {given['stop'].get('at')!r}")
-        elif not low <= j.start.value <= high:
+        elif j.start.value < low or j.start.value > high:
             reader.wrong(
                 "start", f"{name}: expected between the end stops of the joint, got {starts.get(name, 0)!r}"
             )

@@ -122,11 +122,12 @@ def components() -> tuple[frozenset[str], frozenset[str]]:
 def taken() -> dict[str, str]:
     """Words that are no names of joints -> why: other names begin with them, or a language has them.
 
-    The drives are those of the paper's machine.
+    The drives are the cylinders of the paper's machine, in which names of the part itself are the same.
     """
     crane, m = read(NEW), feric(faults=True)
     variants = [sub for family in m.families.values() for sub in family.values()]
-    shipped = [s for s in (*variants, *m.components.values(), *m.drivers) if s.component != NAME]
+    others = (*variants, *m.components.values(), *m.drivers)
+    shipped = [sub for sub in others if sub.component not in (NAME, swing.SWING.component)]
     subs = [manipulator(crane), *shipped]
     names = [n for s in subs for g in (s.parameters, s.states, s.inputs, s.outputs) for n in quantities(g)]
     names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))] + [*quantities(Dry)]
