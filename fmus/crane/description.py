@@ -732,7 +732,7 @@ def _by_size(read: Mapping[str, Number], density: float) -> dict[str, Number]:
     motor its displacement, leakage the area of the valve; the hose has 5 m/s at the flow of the section.
     """
     of, size = {n: x.value for n, x in read.items()}, numbers_of(BOOM_STICK)["parameters"]
-    paper = {n: x.value for n, x in (numbers_of(SWING)["parameters"] | size).items()}
+    paper = {n: x.value for n, x in {**numbers_of(SWING)["parameters"], **size}.items()}
     jet = paper["valve_discharge_coefficient"] * math.sqrt(2 * COMPENSATED / density)
     flow = of["rated_flow"] or of["valve_area"] * jet
     found = {"valve_leakage": of["valve_leakage"] * of["valve_area"] / paper["valve_area"]}

@@ -284,8 +284,8 @@ def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:
         "supply": [with_pressures(sub, crane) for sub in supplies.VARIANTS.values()],
         "drives": [drives(crane, n, of, pose, v) for n, of in parts.items() for v in FIDELITIES],
     }.items():
-        known = {n: x for s in subs for n, x in numbers(s)["parameters"].items()}
-        listed = {n: x for n, x in known.items() if x in shipped or x.note.startswith(sizes.SCALED)}
+        own_of = {n: x for s in subs for n, x in numbers(s)["parameters"].items()}
+        listed = {n: x for n, x in own_of.items() if x in shipped or x.note.startswith(sizes.SCALED)}
         own = {n.partition("_"): x for n, x in listed.items()}
         found[kind] = {n[2] if n[0] in names else "".join(n): x for n, x in own.items() if x.value}
     return found

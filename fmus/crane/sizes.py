@@ -31,12 +31,16 @@ DRIVE, MOTOR = numbers(BOOM_STICK)["parameters"], numbers(SWING)["parameters"]
 LEAKAGE = ("internal_leakage_resistance", "external_leakage_resistance")
 SECTION = 2.7e-3  # m3/s, of the paper's boom
 # parameters of the supply by what they follow
-FLOW = ("pump_leakage", "main_pump_leakage", "rail_leakage", "relief_gain", "return_bypass_gain")
-FLOW += ("pump_line_capacitance", "main_pump_line_capacitance", "rail_capacitance", "return_capacitance")
-FLOW += ("reservoir_volume_start", "suction_volume")
+FLOW = (
+    *("pump_leakage", "main_pump_leakage", "rail_leakage", "relief_gain", "return_bypass_gain"),
+    *("pump_line_capacitance", "main_pump_line_capacitance", "rail_capacitance", "return_capacitance"),
+    *("reservoir_volume_start", "suction_volume"),
+)
 RESISTANCE = ("check_resistance", "main_pump_check_resistance", "return_resistance")
-DISPLACEMENT = ("pump_displacement", "main_pump_displacement")
-DISPLACEMENT += ("pump_viscous_friction", "main_pump_viscous_friction")
+DISPLACEMENT = (
+    *("pump_displacement", "main_pump_displacement"),
+    *("pump_viscous_friction", "main_pump_viscous_friction"),
+)
 TORQUE = (
     "engine_rated_torque",
     "engine_friction",
@@ -47,8 +51,10 @@ TORQUE = (
 SPEED = tuple(f"engine_{n}_speed" for n in ("rated", "peak", "no_load", "idle", "stall"))
 HEAT = ("heat_capacity", "tank_conductance", "cooler_conductance")
 # of drives, with the flow of the largest section
-VALVES = ("relief_gain", "port_relief_gain", "anti_cavitation_area", "neutral_area")
-VALVES += ("counterbalance_area", "counterbalance_check_area")
+VALVES = (
+    *("relief_gain", "port_relief_gain", "anti_cavitation_area", "neutral_area"),
+    *("counterbalance_area", "counterbalance_check_area"),
+)
 
 
 def section_flow(crane: CraneDescription, joint: JointDescription, setting: float) -> float:
