@@ -72,13 +72,16 @@ def couple(
     connections: Sequence[tuple[str, str]],
     inputs: Inputs,
     constant: Mapping[str, float],
+    known: Mapping[str, Symbolic] | None = None,
 ) -> CoupledEquations:
     """Couple subsystems by (source output, target input) pairs. Raises Problem on an algebraic loop.
 
     inputs     external input -> component inputs that it feeds
     constant   `component.variable` -> value of an unconnected input, 0 if missing
+    known      expressions of components that are known already
     """
-    components = {name: symbolic(sub) for name, sub in subsystems.items()}
+    made = known or {}
+    components = {name: made.get(name) or symbolic(sub) for name, sub in subsystems.items()}
 
     def variables_of(group: str) -> tuple[str, ...]:
         return tuple(f"{n}.{v}" for n, s in subsystems.items() for v in quantities(getattr(s, group)))

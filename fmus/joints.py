@@ -74,12 +74,14 @@ class JointModel:
     drive       cylinder that drives it; None: none does
     piston      stroke [m] and viscous friction [N.s/m] of that cylinder
     lever       sign of its lever arm J
-    stop        end stops on both sides: position [rad or m], stiffness, damping, rounding; None: no stops
+    stop        end stops: low and high position [rad or m], stiffness, damping, rounding; None: no stops
     stop_shown  output of their torque
     contacts    names of the joint and of its piston in a law of dry friction; "": viscous friction only
+    rubs        end of the names of the outputs of both
     follows     whether its link follows another one
     rests       whether it starts at rest under gravity
     body        what the link has besides, as fields of `Link`: mass, centre, inertia
+    bars        (p, number of links before them) -> links that follow it: of its cylinder and its linkage
     """
 
     name: str
@@ -91,12 +93,14 @@ class JointModel:
     drive: Callable[[Any], Drive] | None = None
     piston: Callable[[Any], tuple[Scalar, Scalar]] | None = None
     lever: float = 1.0
-    stop: Callable[[Any], tuple[Scalar, Scalar, Scalar, Scalar]] | None = None
+    stop: Callable[[Any], tuple[Scalar, ...]] | None = None
     stop_shown: str = ""
     contacts: tuple[str, str] = ("", "")
+    rubs: tuple[str, str] = ("torque", "force")
     follows: bool = False
     rests: bool = False
     body: Callable[[Any], Mapping[str, Any]] = _nothing
+    bars: Callable[[Any, int], Sequence[Link]] = lambda *_: ()
 
     @property
     def driven(self) -> bool:
@@ -180,8 +184,11 @@ class Mechanics:
     # ---- geometry and motion
 
     def chain(self, p: Any) -> Chain:
-        """The links under gravity."""
-        return Chain(tuple(replace(j.link(p), **j.body(p)) for j in self.joints), self.gravity(p))
+        """The links under gravity: of the joints, then those that follow them."""
+        links = [replace(j.link(p), **j.body(p)) for j in self.joints]
+        for j in self.joints:
+            links += j.bars(p, len(links))
+        return Chain(tuple(links), self.gravity(p))
 
     def start(self, p: Any) -> ca.SX:
         """Coordinates of the states in the start pose, shape (n, 1)."""
@@ -263,16 +270,21 @@ class Mechanics:
                 own -= j.stiffness(p) * q[k]
                 stored += j.stiffness(p) * q[k] ** 2 / 2
             if j.stop:
-                end, *law = j.stop(p)
-                stops[j.name] = cylinder.stop(q[k] + end, w[k], 2 * end, *law)
+                low, high, *law = j.stop(p)
+                stops[j.name] = cylinder.stop(q[k] - low, w[k], high - low, *law)
                 own += stops[j.name].force
                 stored += 0 if j.driven else stops[j.name].stored
             tau.append(own)
+        ground, chain, load = None, self.chain(p), self.payload(0, p)
+        for k, (j, slope) in enumerate(zip(self.joints, chain.slopes(q), strict=False)):
+            if j.follows:
+                at = chain.coordinate(k)
+                friction[f"{j.name}_joint"] = loss = viscous(slope * w[at], j.damping(p))
+                tau[at] -= slope * loss.force
         both: ca.SX = column(*tau) if self.turn is None else ca.DM(self.turn).T @ column(*tau)
         heat = sum((r.heat for r in friction.values()), ca.SX(0))
         heat += sum(s.heat for s in (*stops.values(), *(f.stop for f in pistons.values())))
         stored += sum(r.stored for r in friction.values())
-        ground, chain, load = None, self.chain(p), self.payload(0, p)
         force = column(*(applied[f"tip_force_{n}"] for n in "xyz")) if self.external else ca.SX(3, 1)
         if self.ground:
             ground, push, velocity = self.ground_force(x, p)
@@ -333,14 +345,13 @@ class Mechanics:
             if j.drive and isinstance(linkage := j.drive(p), FourBar):
                 angles = linkage.angles(getattr(x, j.coordinate))
                 found |= {f"{name}_{bar}_angle": a for bar, a in zip(BARS, angles, strict=True)}
-            for contact, shown in zip(j.contacts, ("torque", "force"), strict=True):
+            for contact, shown in zip(j.contacts, j.rubs, strict=True):
                 if contact:
                     found[f"{name}_friction_{shown}"] = forces.friction[contact].force
             if j.stop:
                 found[j.stop_shown] = forces.stops[name].force
-        for j, link in zip(self.joints, chain.links, strict=True):
-            if j.follows:
-                found[j.coordinate] = link.ratio * q[chain.coordinate(chain.links.index(link))]
+        at = zip(self.joints, chain.joints(q), strict=False)
+        found |= {j.coordinate: value for j, value in at if j.follows}
         if self.external:
             force = column(*(applied[f"tip_force_{n}"] for n in "xyz"))
             found["tip_force_power"] = ca.dot(force, chain.velocity(q, w, load.link, load.at))

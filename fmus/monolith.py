@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.composition import couple
-from fmus.contract import Subsystem, column, quantities
+from fmus.contract import Subsystem, Symbolic, column, quantities
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
 from orchestrator.base.interrupts import DeferredInterrupts
@@ -51,6 +51,7 @@ def join(
     connections: Sequence[tuple[str, str]],
     inputs: Mapping[str, Sequence[str]],
     numbers: Mapping[str, Values] | None = None,
+    known: Mapping[str, Symbolic] | None = None,
 ) -> Monolith:
     """Join subsystems by (source output, target input) pairs.
 
@@ -58,10 +59,11 @@ def join(
 
     inputs    external input -> `component.variable` of each input that it feeds
     numbers   parameter and start values by component; default: those of the subsystems
+    known     expressions of components that are known already
     """
     numbers = numbers or {name: values(sub) for name, sub in subsystems.items()}
     constant = {f"{n}.{v}": value for n, group in numbers.items() for v, value in group.u.items()}
-    coupled = couple(subsystems, connections, inputs, constant)
+    coupled = couple(subsystems, connections, inputs, constant, known)
     return Monolith(
         states=coupled.states,
         inputs=coupled.inputs,

@@ -14,7 +14,7 @@ from fmus.contract import nested
 from fmus.joints import JointModel
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
-from fmus.supply import SUPPLY
+from fmus.supply import SUPPLY, VARIANTS
 from fmus.swing import SWING
 
 FILE = Path(__file__).with_name("feric.toml")
@@ -47,6 +47,13 @@ bulk_modulus = {oil.bulk_modulus}
 
 [supply]
 pressure = {supply.pressure_setting}
+
+[pump]
+displacement = {pump.main_pump_displacement}
+
+[engine]
+speed = {pump.engine_rated_speed}
+power = {power}
 """
 
 
@@ -63,16 +70,24 @@ def joint(model: JointModel) -> str:
     if model.motor:
         inertia = link.inertia[2:3] * 3  # only that about z counts
         part, valve, line = "swing", turn.valve, of.line
-        drive = {"motor": inline(displacement=of.motor_displacement, ratio=of.gear_ratio)}
+        size = {"displacement": of.motor_displacement, "ratio": of.gear_ratio, "volume": of.motor_volume}
+        drive = {"motor": inline(**size)}
     else:
         part, valve, line, inertia = "boom_stick", arm.valve, of.hose, link.inertia[:3]
         mount, (stroke, damping) = model.drive(p), model.piston(p)
-        pins = {"base": [*mount.base], "pin": [*mount.rod], "closed": mount.closed, "stroke": stroke}
-        drive = {"cylinder": inline(**pins, bore=of.bore, rod=of.rod, damping=damping)}
+        pins = {
+            "damping": damping,
+            "base": [*mount.base],
+            "pin": [*mount.rod],
+            "closed": mount.closed,
+            "stroke": stroke,
+        }
+        drive = {"cylinder": inline(**pins, **{n: getattr(of, n) for n in ("bore", "rod", "dead_volume")})}
     keys = {"axis": f'"{link.axis}"', "at": [*link.at], "mass": link.mass, "centre": [*link.centre]}
     keys |= {"inertia": [*inertia], "damping": model.damping(p), "drive": f'"{next(iter(drive))}"', **drive}
     tubes = {"hose": line.length, "hose_bore": line.bore}
-    keys["hydraulics"] = inline(part=f'"{part}"', valve=valve.area, dead_band=valve.dead_band, **tubes)
+    edges = {"valve": valve.area, "dead_band": valve.dead_band, "leakage": valve.leakage}
+    keys["hydraulics"] = inline(part=f'"{part}"', **edges, **tubes)
     return f"[{model.name}]\n" + "".join(f"{n} = {x}\n" for n, x in keys.items()) + "\n"
 
 
@@ -80,7 +95,9 @@ def text() -> str:
     """The file."""
     arm, oil, supply = (SimpleNamespace(**values(sub).p) for sub in (MANIPULATOR, BOOM_STICK, SUPPLY))
     joints = "".join(map(joint, MANIPULATOR.model.joints))
-    return TEXT.format(joints=joints, arm=arm, oil=oil, supply=supply)
+    pump = SimpleNamespace(**values(VARIANTS["load_sensing"]).p)
+    power = pump.engine_rated_torque * pump.engine_rated_speed
+    return TEXT.format(joints=joints, arm=arm, oil=oil, supply=supply, pump=pump, power=power)
 
 
 if __name__ == "__main__":

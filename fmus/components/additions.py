@@ -113,6 +113,9 @@ class ChamberReliefs(PressureValve, Addition):
     pressure: Scalar = Quantity(
         "Pa", "Pressure at which a relief valve of the {} cylinder opens", 1e7, minimum=0.0, value=35e6
     )
+    rod_pressure: Scalar = Quantity(
+        "Pa", "The same at the rod side of the {} cylinder; 0: as at the head side", 1e7, minimum=0.0, value=0
+    )
     gain: Scalar = Quantity(
         "m3/(s.Pa)",
         "Flow of a relief valve of the {} cylinder per pressure above the opening pressure",
@@ -130,9 +133,15 @@ class ChamberReliefs(PressureValve, Addition):
 
     def added(self, at: Place) -> Circuit:
         """One from each side."""
-        sides = {"head": "head_pressure", "rod": "rod_pressure"}
-        valves = {f"{at.name}_{s}": Branch(p, TANK, Kind.RELIEF, self.flow) for s, p in sides.items()}
-        return Circuit({}, valves)
+        own = ca.if_else(self.rod_pressure > 0, self.rod_pressure, self.pressure)
+        sides = {"head": self, "rod": replace(self, pressure=own)}
+        return Circuit(
+            {},
+            {
+                f"{at.name}_{side}": Branch(f"{side}_pressure", TANK, Kind.RELIEF, valve.flow)
+                for side, valve in sides.items()
+            },
+        )
 
 
 class Cushion(Addition):

@@ -33,7 +33,7 @@ trees); Wittenburg, Dynamics of Systems of Rigid Bodies, 1977 (augmented bodies)
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
@@ -63,8 +63,9 @@ class Link:
     centre    of mass, in the frame of the link [m]
     inertia   xx, yy, zz, xy, xz, yz of the inertia matrix about the centre of mass, in the axes of the link
               [kg.m2]; "bar": a slender bar from the joint to twice the centre
-    follows   index of the link whose coordinate times `ratio` is that of this one, such as the first of two
+    follows   index of the link whose coordinate gives that of this one by `law`, such as the first of two
               stages that a chain couples; None: the link has a coordinate of its own
+    law       differentiable
     """
 
     name: str
@@ -76,7 +77,7 @@ class Link:
     centre: Vector = (0, 0, 0)
     inertia: Sequence[Scalar] | Literal["bar"] = (0, 0, 0, 0, 0, 0)
     follows: int | None = None
-    ratio: Scalar = 1
+    law: Callable[[Scalar], Scalar] = lambda q: q
 
     @property
     def direction(self) -> ca.SX:
@@ -217,16 +218,28 @@ class Chain:
         follows = self.links[link].follows
         return self._free.index(link if follows is None else follows)
 
-    def _joints(self, q: ca.SX) -> list[Scalar]:
-        """Coordinate or speed of each joint."""
-        ratios = [1 if link.follows is None else link.ratio for link in self.links]
-        return [ratio * q[self.coordinate(i)] for i, ratio in enumerate(ratios)]
+    def joints(self, q: ca.SX) -> list[Scalar]:
+        """Coordinate of each joint."""
+        own = [q[self.coordinate(i)] for i in range(len(self.links))]
+        return [x if link.follows is None else link.law(x) for link, x in zip(self.links, own, strict=True)]
+
+    def slopes(self, q: ca.SX) -> list[Scalar]:
+        """Speed of each joint over that of its coordinate in q: of one that follows, the slope of its law."""
+        slopes, s = list[Scalar](), ca.SX.sym("s")
+        for i, link in enumerate(self.links):
+            slope = 1 if link.follows is None else ca.jacobian(ca.SX(link.law(s)), s)
+            slopes.append(slope if link.follows is None else ca.substitute(slope, s, q[self.coordinate(i)]))
+        return slopes
+
+    def _rates(self, q: ca.SX, speed: ca.SX) -> list[Scalar]:
+        """Speed of each joint."""
+        return [slope * speed[self.coordinate(i)] for i, slope in enumerate(self.slopes(q))]
 
     # ---- kinematics
 
     def frames(self, q: ca.SX) -> list[Frame]:
         """Forward kinematics: the frame of each link."""
-        frames, joints, base = list[Frame](), self._joints(q), Frame(ca.SX.eye(3), ca.SX(3, 1))
+        frames, joints, base = list[Frame](), self.joints(q), Frame(ca.SX.eye(3), ca.SX(3, 1))
         for link, turn, x in zip(self.links, self._turns(joints), joints, strict=True):
             before, since = (base if k is None else frames[k] for k in (link.parent, turn.since))
             origin = before.origin + before.rotation @ link.place(x)
@@ -278,7 +291,7 @@ class Chain:
 
     def kinetic(self, q: ca.SX, speed: ca.SX, payload: Payload | None = None) -> Scalar:
         """Kinetic energy [J]."""
-        joints, rates, twists, spins = self._joints(q), self._joints(speed), list[Twist](), list[ca.SX]()
+        joints, rates, twists, spins = self.joints(q), self._rates(q, speed), list[Twist](), list[ca.SX]()
         energy: Scalar = 0
         turns, bodies = self._turns(joints), self._augmented(joints, payload)
         for i, (link, turn, body) in enumerate(zip(self.links, turns, bodies, strict=True)):
@@ -299,7 +312,7 @@ class Chain:
 
     def potential(self, q: ca.SX, payload: Payload | None = None) -> Scalar:
         """Potential energy of gravity [J], zero at the origin of the base."""
-        joints, directions = self._joints(q), list[ca.SX]()
+        joints, directions = self.joints(q), list[ca.SX]()
         down, energy = ca.SX(column(*self.gravity)), ca.SX(0)
         bodies, turns = self._augmented(joints, payload), self._turns(joints)
         for link, turn, body, x in zip(self.links, turns, bodies, joints, strict=True):

@@ -16,6 +16,8 @@ and D = |d|, C is where two circles meet, a about s and b about R(q) r:
 
     C = s + u d + w (-d_z, d_x)       u = (D^2 + a^2 - b^2) / (2 D^2)       w = +-sqrt(a^2/D^2 - u^2)
 
+The rod is at C, or beside it, at (e, f) along and across the rocker from its pin.
+
 With the sign +, C is on the left of the line from the rocker's pin to the link's: above it if the line points
 forwards. The linkage closes while |a - b| < D < a + b. At these limits rocker and coupler are in line and J
 is infinite; beyond them x is not a number.
@@ -23,8 +25,8 @@ is infinite; beyond them x is not a number.
 Signs: points (x, z) are relative to the joint [m], in the plane of the joint, with q counter-clockwise: for a
 joint about -y, x forward and z upwards. J > 0 if x increases with q.
 
-Validity: all pins in one plane; rocker, coupler and rod are without mass here, what they weigh belongs to the
-links at their pins.
+Validity: all pins in one plane; rocker, coupler, barrel and rod are without mass here: they are links that
+follow the joint (`fmus.crane.manipulator`), or what they weigh belongs to the links at their pins.
 
 References: cylinder, paper eqs. 5 to 7; four-bar, Norton, Design of Machinery, chapter 4 (position analysis).
 """
@@ -59,6 +61,18 @@ class Transmission:
     def effort(self, force: Scalar) -> Scalar:
         """Torque or force tau on the joint of a force or torque F of the actuator."""
         return self.arm * force
+
+
+def direction(of: Cylinder | FourBar, q: Scalar) -> Scalar:
+    """Angle of a cylinder from its base pin to its rod pin, in the frame of the fixed link [rad]."""
+    x, z = of.rod_end(q)
+    return ca.atan2(z - of.base[1], x - of.base[0])
+
+
+def length(of: Cylinder | FourBar, q: Scalar) -> Scalar:
+    """From pin to pin [m]."""
+    x, z = of.rod_end(q)
+    return ca.sqrt((x - of.base[0]) ** 2 + (z - of.base[1]) ** 2)
 
 
 class Drive(Protocol):
@@ -98,6 +112,10 @@ class Cylinder:
     rod: Point
     closed: Scalar
 
+    def rod_end(self, q: Scalar) -> Point:
+        """R(q) r."""
+        return rotate(ca.cos(q), ca.sin(q), self.rod)
+
     def at(self, q: Scalar) -> Transmission:
         """The triangle of joint and pins."""
         sides = triangle(q, self.base, self.rod)
@@ -112,6 +130,7 @@ class FourBar:
     pivot, rocker     pin of the rocker on the fixed link; its length [m]
     coupler, pin      length of the coupler [m]; its pin on the moving link
     assembly          side of the line from `pivot` to `pin` on which rocker and coupler meet
+    rod               pin of the rod, along and across the rocker from its pin [m]; None: at the coupler
     """
 
     base: Point
@@ -121,6 +140,7 @@ class FourBar:
     coupler: Scalar
     pin: Point
     assembly: Literal["above", "below"]
+    rod: Point | None = None
 
     def _line(self, q: Scalar) -> Point:
         """d: from the rocker's pin to the link's."""
@@ -128,7 +148,7 @@ class FourBar:
         return x - self.pivot[0], z - self.pivot[1]
 
     def rocker_end(self, q: Scalar) -> Point:
-        """C: end of the rocker, at coupler and rod [m]."""
+        """C: end of the rocker, at the coupler [m]."""
         x, z = self._line(q)
         square = x**2 + z**2
         along = (square + self.rocker**2 - self.coupler**2) / (2 * square)
@@ -136,6 +156,15 @@ class FourBar:
         if self.assembly == "below":
             across = -across
         return self.pivot[0] + along * x - across * z, self.pivot[1] + along * z + across * x
+
+    def rod_end(self, q: Scalar) -> Point:
+        """C, or the pin beside it."""
+        end = self.rocker_end(q)
+        if self.rod is None:
+            return end
+        along = [(end[k] - self.pivot[k]) / self.rocker for k in (0, 1)]
+        x, z = rotate(along[0], along[1], self.rod)
+        return self.pivot[0] + x, self.pivot[1] + z
 
     def angles(self, q: Scalar) -> Point:
         """Of rocker and coupler in the frame of the fixed link, upwards [rad]."""
@@ -145,8 +174,7 @@ class FourBar:
     def at(self, q: Scalar) -> Transmission:
         """Derivatives by differentiation of the closed form."""
         s = ca.SX.sym("q")
-        x, z = self.rocker_end(s)
-        position = ca.sqrt((x - self.base[0]) ** 2 + (z - self.base[1]) ** 2) - self.closed
+        position = length(self, s) - self.closed
         arm = ca.jacobian(position, s)
         terms = [position, arm, ca.jacobian(arm, s)]
         return Transmission(*ca.substitute(terms, [s], [ca.SX(q)]))

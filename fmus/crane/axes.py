@@ -18,11 +18,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import eigh
 from scipy.optimize import brentq
 
 from fmus.components.cylinder import areas, volumes
@@ -90,6 +91,8 @@ class AxisCheck:
     push, pull        largest forces of the piston, or torque of the motor to both sides [N or N.m]
     holding           pressure that holds the start pose [Pa], on the side that carries
     lever, inertia    dx/dq, of a motor 1, and M_ii at the start pose [m or 1, kg.m2 or kg]
+    damping           viscous friction of the joint and of those that follow it [N.m.s/rad or N.s/m]
+    stiffness         of the oil on both sides at the start pose, on the joint [N.m/rad or N/m]
     mode              first mode of the axis [Hz]
     """
 
@@ -102,6 +105,8 @@ class AxisCheck:
     holding: float
     lever: float
     inertia: float
+    damping: float
+    stiffness: float
     mode: float
 
 
@@ -200,13 +205,19 @@ def _passing(poses: Array, values: Array, reach: float) -> tuple[Array, Array]:
     return np.hstack(found), np.hstack(bounds)
 
 
+@lru_cache(maxsize=16)
+def at_start(crane: CraneDescription, payload: float = 0.0) -> Mapping[str, float]:
+    """Outputs of the manipulator at its start, with a payload [kg]."""
+    return outputs_at_start(manipulator(crane), payload)
+
+
 def axes_of(crane: CraneDescription, start: Mapping[str, float] | None = None) -> list[AxisCheck]:
     """All axes; a Problem with a line for each mistake.
 
-    start   `outputs_at_start` of its manipulator, if they are known
+    start   outputs of a manipulator with other numbers than those of the file, with the payload
     """
     load, pose = crane.numbers["payload"]["payload_mass"].value, Start.of(crane)
-    start = outputs_at_start(manipulator(crane), load) if start is None else start
+    start = at_start(crane, load) if start is None else start
     found, mistakes = list[AxisCheck](), list[str]()
     for joint in crane.driven:
         try:
@@ -222,14 +233,20 @@ def axes_of(crane: CraneDescription, start: Mapping[str, float] | None = None) -
     return found
 
 
+def stops(joint: JointDescription) -> tuple[float, float]:
+    """Where the end stops of a joint begin [rad or m], infinite without some."""
+    high = joint["stop_at"] if "stop_at" in joint.numbers else math.inf
+    return joint["stop_from"] if "stop_from" in joint.numbers else -high, high
+
+
 def _axis(
     crane: CraneDescription, pose: Start, joint: JointDescription, start: Mapping[str, float]
 ) -> AxisCheck:
     pressure = crane.numbers["supply"]["pressure_setting"].value
     hose = math.pi / 4 * joint["hose_bore"] ** 2 * joint["hose_length"]
     if joint.motor:
-        high = joint["stop_at"] if "stop_at" in joint.numbers else math.inf
-        low, levers, lever = -high, (1.0, 1.0), 1.0
+        low, high = stops(joint)
+        levers, lever = (1.0, 1.0), 1.0
         head = rod = joint["motor_displacement"] * joint["gear_ratio"]
         sizes, effort, larger = (joint["motor_volume"],) * 2, "torque", "a larger motor, more ratio"
     else:
@@ -247,9 +264,37 @@ def _axis(
         )
     modulus, inertia = crane.numbers["oil"]["bulk_modulus"].value, pose.inertia(joint)
     of_head, of_rod = ((x + hose) / modulus for x in sizes)
-    mode = math.sqrt((head**2 / of_head + rod**2 / of_rod) * lever**2 / inertia) / (2 * math.pi)
-    forces = (pressure * head, pressure * rod)
-    return AxisCheck(joint, low, high, levers, *forces, holding, lever, inertia, mode)
+    stiffness = (head**2 / of_head + rod**2 / of_rod) * lever**2
+    mode = math.sqrt(stiffness / inertia) / (2 * math.pi)
+    damping = joint["damping"]
+    damping += sum(j["ratio"] ** 2 * j["damping"] for j in crane.joints if j.follows == joint.name)
+    of_oil = (lever, inertia, damping, stiffness, mode)
+    return AxisCheck(joint, low, high, levers, pressure * head, pressure * rod, holding, *of_oil)
+
+
+def modes(crane: CraneDescription, found: Sequence[AxisCheck]) -> Array:
+    """Frequencies of all axes together on their oil at the start pose [Hz], ascending.
+
+    The other joints move freely without friction: K v = (2 pi f)^2 M v, with springs in K, and the weight of
+    those that hang; without payload, as the modes of the single axes.
+    """
+    pose = Start.of(crane)
+    of, p = pose.mechanics, pose.p
+    s = ca.SX.sym("q", pose.q.shape[0])
+    motion = of.chain(p).equations(s, 0 * s, of.payload(0, p))
+    rest = of.at_rest(pose.q, 0, p)
+    terms = ca.evalf(ca.vertcat(*ca.substitute([motion.mass, ca.jacobian(motion.gravity, s)], [s], [rest])))
+    mass, stiffness = np.split(terms.full(), 2)
+    driven = [of.index(a.joint.name) for a in found]
+    stiffness[driven] = stiffness[:, driven] = (
+        0.0  # pistons bear the weight; its slope is small beside the oil
+    )
+    for k, j in enumerate(of.free):
+        stiffness[k, k] += float(j.stiffness(p)) if j.stiffness else 0.0
+    for k, a in zip(driven, found, strict=True):
+        stiffness[k, k] += a.stiffness
+    squares: Array = eigh(stiffness, mass, eigvals_only=True)
+    return np.sqrt(np.clip(squares, 0.0, None)) / (2 * math.pi)
 
 
 def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
@@ -294,7 +339,7 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
 
 def lifting_moment(found: Sequence[AxisCheck]) -> float:
     """Gross: largest moment of the first cylinder about its joint [N.m], 0 without one."""
-    first = next((a for a in found if a.joint.revolute and a.joint.cylinder), None)
+    first = next((a for a in found if a.joint.axis[-1] == "y" and a.joint.cylinder), None)
     return first.push * first.levers[1] if first else 0.0
 
 

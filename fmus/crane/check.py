@@ -1,34 +1,36 @@
-"""`harvester crane check`: axes, loads and data sheet of a crane as text and as a drawing, and doubts."""
+"""`harvester crane check`: axes, loads and data sheet of a crane as text, and doubts."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-import casadi as ca
-import numpy as np
-from matplotlib.figure import Figure
-
-from fmus.crane.axes import SUPPLIES, AxisCheck, Capacity, Speeds, Start, axes_of, lifting_moment
+from fmus.crane import sizes
+from fmus.crane.axes import SUPPLIES, AxisCheck, Capacity, Speeds, axes_of, lifting_moment, modes
+from fmus.crane.controller import controlled
 from fmus.crane.description import DEFAULT, DRIVES, INERTIA, TABLES, CraneDescription
-from fmus.crane.machine import borrowed, taken
+from fmus.crane.machine import borrowed, components, taken
 from fmus.crane.manipulator import contacts
 from fmus.parameters import Number
-from orchestrator.base.errors import Mistakes
+from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable
-from orchestrator.data.table import Array
-from orchestrator.pages.plotting import new_figure, style_axes
 
 SMALL_LEVER = 0.25  # of the largest one: below it a joint may run over the dead point beyond an end stop
-CELL = 0.2  # m, of the drawing
 SHARES = (0.4, 0.7, 1.0)  # of the largest reach, for which loads are printed
 
 
 def check(crane: CraneDescription) -> list[AxisCheck]:
     """All axes; a Problem with a line for each mistake, also in the names of joints."""
-    used = taken()
-    if wrong := [(j.name, used[j.name]) for j in crane.joints if j.name in used]:
-        raise Mistakes([f"{crane.file}: [{n}] expected another name of the joint: {why}" for n, why in wrong])
+    used, (of_drives, others), name = taken(), components(), crane.file.stem
+    named = [(j.name, used[j.name]) for j in crane.joints if j.name in used]
+    wrong = [f"{crane.file}: [{n}] expected another name of the joint: {why}" for n, why in named]
+    listed = ", ".join(sorted(others))
+    for j in (j for j in crane.driven if j.part in others):
+        wrong.append(f"{crane.file}: [{j.name}.hydraulics] part: expected none of {listed}, got {j.part!r}")
+    if name in of_drives | others | {j.part for j in crane.driven}:
+        wrong.append(f"{crane.file}: expected another name of the file: {name}.fmu is a part of a machine")
+    if wrong:
+        raise Mistakes(wrong)
     return axes_of(crane)
 
 
@@ -41,7 +43,7 @@ def table(
     pressure = crane.numbers["supply"]["pressure_setting"].value
     title = f"{crane.title}: {len(crane.joints)} joints, {len(found)} driven, {pressure / 1e5:.0f} bar"
     axes = TextTable(head, [_row(a, speeds.get(a.joint.name)) for a in found])
-    lines = [title, *axes.lines(), "", *_loads(found, loads)]
+    lines = [title, *axes.lines(), "", *_together(crane, found), *_loads(found, loads)]
     if crane.loads or any(crane.datasheet.values()):
         rows = list[list[str]]()
         for text, told, own in _compared(crane, found, loads):
@@ -49,6 +51,10 @@ def table(
             rows.append([text, f"{told:.4g}", "no pose" if own is None else f"{own:.4g}", off])
         lines += ["", *TextTable(("data sheet", "says", "computed", "off by"), rows).lines()]
     lines += [f"warning: {crane.file}: {text}" for text in _doubts(crane, found)]
+    try:
+        controlled(crane)
+    except Problem as why:
+        lines.append(f"note: without a controller of its tip: {why}")
     lines += [f"assumed: {text}" for text in _assumed(crane)]
     return "\n".join(lines)
 
@@ -84,7 +90,14 @@ def _assumed(crane: CraneDescription) -> Iterator[str]:
         own = [(key, numbers[n]) for key, r in TABLES[table].items() for n in r if n in numbers]
         yield from _listed(f"[{table}]", [(key, x) for key, x in own if x.note == DEFAULT and x.value])
     for part, some in borrowed(crane).items() if crane.driven else ():
-        yield from _listed(f"{part}, as of the paper's machine:", [*some.items()])
+        for scaled, text in ((True, f", {sizes.SCALED}"), (False, "")):
+            own = [(n, x) for n, x in some.items() if x.note.startswith(sizes.SCALED) == scaled]
+            yield from _listed(f"{part}, as of the paper's machine{text}:", own)
+
+
+def _together(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str]:
+    if found:
+        yield f"modes of all axes together {', '.join(f'{f:.3g}' for f in modes(crane, found))} Hz"
 
 
 def _listed(where: str, numbers: Sequence[tuple[str, Number]]) -> Iterator[str]:
@@ -112,40 +125,6 @@ def _compared(
         yield "reach [m]", reach, loads.ends[1][1]
     for reach, load in crane.loads:
         yield f"load at {reach:g} m [kg]", load, loads.at(reach)
-
-
-def drawing(crane: CraneDescription, loads: Capacity) -> Figure:
-    """Side view: the working range of the tip, coloured by the load that can be held; the start pose."""
-    start = Start.of(crane)
-    of, p = start.mechanics, start.p
-    chain, load, q = of.chain(p), of.payload(0, p), of.at_rest(start.q, 0, p)
-    frames = [np.array(ca.evalf(f.origin)).ravel() for f in chain.frames(q)]
-    points = {j.name: frames[k] for k, j in enumerate(crane.joints)} | {"": np.zeros(3)}
-    cells, ends = _cells(loads)
-    figure = new_figure(1.6 + 5.0 * np.ptp(ends[0]) / np.ptp(ends[1]), 5.2)
-    axes = figure.add_subplot()
-    style_axes(axes, "reach [m]", "height [m]")
-    shown = axes.pcolormesh(*ends, cells.T, cmap="viridis", vmin=0, vmax=np.nanquantile(cells, 0.95))
-    figure.colorbar(shown, ax=axes, label="load that can be held [kg]", extend="max")
-    tip = np.array(ca.evalf(chain.position(q, load.link, load.at))).ravel()
-    bars = [(points[j.parent], points[j.name]) for j in crane.joints] + [(points[crane.payload_on], tip)]
-    drawn: Mapping[str, Sequence[Sequence[Array]]] = {"-": bars, "o": [[x] for x in points.values()]}
-    for style, lines in drawn.items():
-        for line in lines:
-            reach = [math.copysign(math.hypot(x, y), x) for x, y, _ in line]
-            axes.plot(reach, [x[2] for x in line], style, color="black", lw=2.5, ms=4)
-    axes.set_aspect("equal")
-    return figure
-
-
-def _cells(loads: Capacity) -> tuple[Array, tuple[Array, Array]]:
-    """Largest load in each square of the plane, NaN where no tip is; the edges of the squares [m]."""
-    *places, load = loads.values.reshape(3, -1)
-    ends = [np.arange(x.min(), x.max() + 2 * CELL, CELL) for x in places]
-    x, z = (np.digitize(place, edges) - 1 for place, edges in zip(places, ends, strict=True))
-    cells = np.full((ends[0].size - 1, ends[1].size - 1), -1.0)
-    np.maximum.at(cells, (x, z), load)
-    return np.where(cells < 0, np.nan, cells), (ends[0], ends[1])
 
 
 def _row(a: AxisCheck, speeds: Speeds | None) -> list[str]:

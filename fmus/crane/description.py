@@ -30,6 +30,7 @@ from fmus.manipulator.friction import JointContact, PistonContact
 from fmus.parameters import SOURCES, Number
 from fmus.parameters import numbers as numbers_of
 from fmus.supply import SUPPLY
+from fmus.swing import SWING
 from orchestrator.base import toml
 from orchestrator.base.errors import Mistakes, Problem, suggest
 from orchestrator.base.files import Location, write_whole
@@ -38,6 +39,11 @@ from orchestrator.data import gltf
 from orchestrator.data.table import Array
 
 AXES = get_args(Axis)
+PLANES = {
+    "x": ("y", "z"),
+    "y": ("x", "z"),
+    "z": ("x", "y"),
+}  # axis of a joint -> coordinates of the pins of its cylinder
 Assembly: TypeAlias = Literal["above", "below"]
 LARGEST_LENGTH = 100.0  # m
 MOST_JOINTS = 60  # whose equations are made in some seconds
@@ -81,38 +87,58 @@ def _own(name: str, default: Bound, low: float, high: float) -> Key:
     return {name: replace(DECLARED[name], value=default, minimum=low, maximum=high)}
 
 
+def _mass(name: str, of: str) -> Key:
+    return _key(name, "kg", f"Mass of the {of}, a slender bar from pin to pin", 0.0, 0.0, 1e5)
+
+
+def in_plane(key: Key, axis: str) -> Key:
+    """A key of a pin, which has two coordinates, in the plane of a joint about an axis."""
+    if len(key) != len(PLANES[axis[-1]]):
+        return key
+    names = zip(key.items(), PLANES[axis[-1]], strict=True)
+    return {f"{n[:-1]}{to}": replace(q, text=f"{q.text[:-1]}{to}") for (n, q), to in names}
+
+
 def _joint_keys(kind: str) -> Keys:
     """Keys of a joint itself."""
     unit, effort = UNITS[kind]
     spring = "Stiffness of the spring in the {} joint, which is without force at 0"
-    dry = {"coulomb": replace(quantities(JointContact)["coulomb"], value=0.0)}
+    contact = JointContact if kind == "revolute" else PistonContact
     return {
         "at": _length("at_x at_y at_z", "Place of the {} joint in the frame of its parent"),
         "mass": _key("mass", "kg", "Mass of the {}", 0.0, 0.0, 1e6),
         "centre": _length("centre_x centre_y centre_z", "Centre of mass of the {} from its joint"),
         "damping": _key("damping", f"{effort}.s/{unit}", "Viscous friction of the {} joint", 0.0, 0.0),
         "stiffness": _key("stiffness", f"{effort}/{unit}", spring, 0.0, 0.0),
-        **({"friction": dry} if kind == "revolute" else {}),
+        "friction": {"coulomb": replace(quantities(contact)["coulomb"], value=0.0)},
     }
 
 
 def _stop_keys(kind: str) -> Keys:
-    """End stops on both sides of a joint; the defaults of a revolute one are those of the paper's column."""
-    (unit, effort), column = UNITS[kind], numbers_of(MANIPULATOR)["parameters"]
-    names = ("swing_stop_stiffness", "swing_stop_damping")
-    stiffness, damping = (column[n].value if kind == "revolute" else None for n in names)
-    at = "Position of the {} joint, to both sides of 0, at which its end stops begin"
+    """End stops of a joint; the defaults are those of the paper's column, or of its pistons."""
+    (unit, effort), shipped = UNITS[kind], numbers_of(MANIPULATOR)["parameters"]
+    begin = "swing_" if kind == "revolute" else ""
+    stiffness, damping = (shipped[f"{begin}stop_{n}"].value for n in ("stiffness", "damping"))
+    at = "Position of the {} joint at which its upper end stop begins; without a lower one to both sides of 0"
+    low = "Position of the {} joint at which its lower end stop begins"
     spring = "Stiffness of the end stops of the {} joint"
     law = "Contact damping of the end stops of the {} joint (Hunt and Crossley)"
     return {
-        "at": _key("stop_at", unit, at, None, 1e-3, ENDS[kind]),
+        "at": _key("stop_at", unit, at, None, -ENDS[kind], ENDS[kind]),
+        "from": _key("stop_from", unit, low, 0.0, -ENDS[kind], ENDS[kind]),
         "stiffness": _key("stop_stiffness", f"{effort}/{unit}", spring, stiffness, 1.0),
         "damping": _key("stop_damping", f"s/{unit}", law, damping, 0.0),
     }
 
 
 JOINTS, STOPS = ({kind: keys(kind) for kind in UNITS} for keys in (_joint_keys, _stop_keys))
-RATIO = {"ratio": _key("ratio", "1", "Motion of the {} over that of the joint that it follows", 1.0)}
+FOLLOWED = {
+    kind: {
+        "ratio": _key("ratio", "1", "Motion of the {} over that of the joint that it follows", 1.0),
+        "offset": _key("offset", unit, "Coordinate of the {} where the joint that it follows is at 0"),
+    }
+    for kind, (unit, _) in UNITS.items()
+}
 DRIVES: Mapping[str, Keys] = {
     "cylinder": {
         "base": _length("base_x base_z", "Base pin of the {} cylinder from the joint", None),
@@ -124,12 +150,18 @@ DRIVES: Mapping[str, Keys] = {
         "dead_volume": _own("dead_volume", 3e-4, 1e-6, 0.1),
         "damping": _key("piston_damping", "N.s/m", "Viscous friction of the {} cylinder's piston", 2e4, 0.0),
         "friction": {"piston_coulomb": replace(quantities(PistonContact)["coulomb"], value=0.0)},
+        "barrel_mass": _mass("barrel_mass", "barrel of the {} cylinder"),
+        "rod_mass": _mass("rod_mass", "rod of the {} cylinder with its piston"),
+        "count": _key("count", "1", "Cylinders between the same pins", 1.0, 1.0, 8.0),
     },
     "four_bar": {
         "pivot": _length("pivot_x pivot_z", "Pin of the rocker of the {} from the joint", None),
         "rocker": _length("rocker", "Length of the rocker of the {}", None, 0.01),
         "coupler": _length("coupler", "Length of the coupler of the {}", None, 0.01),
         "pin": _length("link_x link_z", "Pin of the coupler on the {} from the joint", None),
+        "rod": _length("rod_x rod_z", "Rod pin along and across the rocker of the {}; zeros: at the coupler"),
+        "rocker_mass": _mass("rocker_mass", "rocker of the {}"),
+        "coupler_mass": _mass("coupler_mass", "coupler of the {}"),
     },
     "motor": {
         "displacement": _own("motor_displacement", None, 1e-8, 1e-2),
@@ -145,6 +177,15 @@ DRIVES: Mapping[str, Keys] = {
         "leakage": _own("valve_leakage", 1.6e-14, 1e-17, 1e-9),
         "hose": _own("hose_length", 3.0, 0.01, LARGEST_LENGTH),
         "hose_bore": _own("hose_bore", 0.01905, 1e-3, 0.2),
+        "rod_flow": _key("rod_rated_flow", "m3/s", "Flow of the section to the rod side", 0.0, 0.0, 0.1),
+        **{
+            f"{side}_return": _key(f"{side}_return_area", "m2", "Meter-out edge", 0.0, 0.0, 1e-2)
+            for side in ("head", "rod")
+        },
+        **{
+            f"{side}_pilot_ratio": _key(f"{side}_pilot_ratio", "1", "Pilot ratio", 0.0, 0.0, 100.0)
+            for side in ("head", "rod")
+        },
     },
 }
 INERTIA = {
@@ -155,9 +196,10 @@ INERTIA = {
 
 def _of_joint(kind: str) -> dict[str, Quantity]:
     """Parameters of a joint in the manipulator."""
-    tables = (JOINTS[kind], STOPS[kind], DRIVES["cylinder"], DRIVES["four_bar"], RATIO)
-    keys = (key for table in tables for key in table.values())
-    return INERTIA | {n: q for key in keys for n, q in key.items() if n not in DECLARED}
+    tables = (JOINTS[kind], STOPS[kind], DRIVES["four_bar"], FOLLOWED[kind])
+    keys = [key for table in tables for key in table.values()]
+    keys += [in_plane(key, axis) for key in DRIVES["cylinder"].values() for axis in PLANES]
+    return INERTIA | {n: q for key in keys for n, q in key.items() if n not in (*DECLARED, "count")}
 
 
 OF_JOINT = {kind: _of_joint(kind) for kind in UNITS}
@@ -168,8 +210,12 @@ USED: Mapping[str, tuple[str, ...]] = {
     "cylinder": ("cylinder", "hydraulics"),
     "four-bar": ("cylinder", "four_bar", "hydraulics"),
 }
-# keys of a cylinder that a drive does not have: the rocker's end is its pin; it lies along a telescope
-UNUSED = {"four-bar": ("pin",), "telescope": ("base", "pin", "closed")}
+# keys of tables that a drive does not have: the rocker's end is its pin; it lies along a telescope
+UNUSED: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "four-bar": {"cylinder": ("pin",)},
+    "telescope": {"cylinder": ("base", "pin", "closed", "barrel_mass", "rod_mass")},
+    "motor": {"hydraulics": ("rod_flow", "head_return", "rod_return", "head_pilot_ratio", "rod_pilot_ratio")},
+}
 BASE, TIP = "Slope of the base: the", "Tip, where the payload is, from the joint of its link"
 TABLES: Mapping[str, Keys] = {
     "base": {
@@ -198,6 +244,24 @@ TABLES: Mapping[str, Keys] = {
         "pressure": _own("pressure_setting", 2.07e7, 1e5, 1e8),
         "return": _own("reservoir_pressure", 0.0, 0.0, 1e7),
     },
+    "pump": {  # 0: at the size of the crane
+        "displacement": _key(
+            "displacement", "m3/rad", "Displacement of the load-sensing pump", 0.0, 0.0, 1e-2
+        ),
+        "margin": _key("margin", "Pa", "Pressure of the pump above the load", 0.0, 0.0, 1e8),
+        "cut_off": _key("cut_off", "Pa", "Pressure cut-off of the pump", 0.0, 0.0, 1e8),
+        "power": _key("power", "W", "Power limit of the pump", 0.0, 0.0, 1e7),
+    },
+    "engine": {
+        "speed": _key("rated_speed", "rad/s", "Rated speed of the engine", 0.0, 0.0, 1e3),
+        "power": _key("rated_power", "W", "Rated power of the engine", 0.0, 0.0, 1e7),
+    },
+    "counterbalance": {
+        "pressure": _key("counterbalance_pressure", "Pa", "Setting of the valves", 0.0, 0.0, 1e8),
+        "area": _key("counterbalance_area", "m2", "Area of the open poppet", 0.0, 0.0, 1e-2),
+        "check_area": _key("counterbalance_check_area", "m2", "Area of the check valve", 0.0, 0.0, 1e-2),
+        "neutral_area": _key("neutral_area", "m2", "From each port to the return line", 0.0, 0.0, 1e-3),
+    },
     "datasheet": {  # `check` compares
         "lifting_moment": _key("lifting_moment", "N.m", "Lifting moment, gross", 0.0, 0.0),
         "reach": _key("reach", "m", "Largest reach", 0.0, 0.0),
@@ -220,19 +284,20 @@ def keys_of(table: str, addition: type[Addition]) -> Keys:
 # other keys of tables, and of a joint
 WORDS = {"payload": ("on", "along"), "supply": (*OF_SUPPLY,), "datasheet": ("loads",)}
 WORDS |= {"hydraulics": ("part",), "four_bar": ("assembly",)}
-OTHERS = (*RATIO, "friction", "inertia", "stop", *ADDITIONS, "shape", "source", "note")
+OTHERS = (*FOLLOWED["revolute"], "inertia", "stop", *ADDITIONS, "shape", "source", "note")
 WORD, PART = "[a-z][a-z0-9]*", "[a-z][a-z0-9_]*"
-COMPONENTS = (  # names of other components of a machine
-    *("manipulator", "supply", "controller", "valve_actuation", "operator_input", "sensors", "diagnosis"),
-)
 DEFAULT = "default"  # note of a number that the file does not have
 MEANT = {"m": ("mm", "cm"), "rad": ("deg",)}  # units of a number that is out of range without one
 NEW = Path(__file__).with_name("new.toml")  # a crane to begin with
 EXAMPLES = {"m": "350 mm", "rad": "20 deg", "Pa": "207 bar", "m2": "40 mm2", "m3/s": "60 L/min"}
+EXAMPLES |= {"rad/s": "2200 rpm", "W": "90 kW"}
 EXAMPLES |= {"N.m": "120 kN.m", "m3/rad": "160 cm3/rev", "N.s/m": "30 kN.s/m", "kg": "900 kg"}
 # as data sheets write units; a moment in t.m is that of a weight
 SHEETS = {"Nm": "N.m", "kNm": "kN.m", "tm": "t.m", "mt": "t.m"}
 SHEETS |= {"cc": "cm3", "ccm": "cm3", "U": "rev", "lbs": "lb"}
+COMPENSATED = 1.2e6  # Pa, that a compensator holds over its section
+OIL_SPEED = 5.0  # m/s, in a hose at the flow of its section: usual in pressure lines
+NARROWEST = 4.8e-3  # m, hose of 3/16 in
 GRAVITY = 9.80665  # m/s2, standard
 
 
@@ -276,6 +341,11 @@ class JointDescription:
         return np.array([sign if n == self.axis[-1] else 0.0 for n in "xyz"])
 
     @property
+    def plane(self) -> tuple[str, str, float]:
+        """Coordinates of its pins; 1 or -1: it turns the first one towards the second, or away from it."""
+        return *PLANES[self.axis[-1]], 1.0 if self.axis in ("x", "-y", "z") else -1.0
+
+    @property
     def revolute(self) -> bool:
         """Whether it turns."""
         return self.kind == "revolute"
@@ -308,7 +378,7 @@ class JointDescription:
         return np.array([self[f"{name}_{n}"] for n in axes])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CraneDescription:
     """A crane.
 
@@ -550,12 +620,14 @@ def _joint(
         reader.wrong(name, f"drive: expected none of a joint that follows {follows}, got {drive!r}")
     if not j.revolute and (j.motor or j.four_bar):
         reader.wrong(name, f"drive: expected cylinder or none of a prismatic joint, got {drive!r}")
-    if j.revolute and j.cylinder and axis != "-y":  # pins are [x, z] in the plane of it
-        reader.wrong(name, f'axis: expected "-y" of a joint with a cylinder, got {axis!r}')
+    if j.four_bar and axis != "-y":
+        reader.wrong(name, f'axis: expected "-y" of a joint with a four-bar linkage, got {axis!r}')
+    for n in FOLLOWED[kind] if not follows else ("friction",):
+        if n in given:
+            other = "none of a joint that follows another one" if follows else "it beside follows only"
+            reader.wrong(name, f"{n}: expected {other}, got {given[n]!r}")
     if "stiffness" in given and (j.driven or follows):
         reader.wrong(name, f"stiffness: expected none of a joint with a drive, got {given['stiffness']!r}")
-    if "friction" in given and not j.revolute:
-        reader.wrong(name, "friction: expected none of a prismatic joint: its cylinder has one")
     if "stop" in given and (follows or j.cylinder):
         reader.wrong(name, "stop: expected none of a joint that follows another one or has a cylinder")
     for n in () if j.cylinder else j.additions:
@@ -566,10 +638,10 @@ def _joint(
         numbers |= reader.numbers(f"{name}.{table}", given[table], tables[table])
     numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
     for table in USED[drive]:
-        left_out = UNUSED.get(drive if j.revolute else "telescope", ()) if table == "cylinder" else ()
-        keys = {n: key for n, key in DRIVES[table].items() if n not in left_out}
+        left_out = UNUSED.get(drive if j.revolute else "telescope", {}).get(table, ())
+        keys = {n: in_plane(key, axis) for n, key in DRIVES[table].items() if n not in left_out}
         numbers |= reader.numbers(f"{name}.{table}", given.get(table, {}), keys, *WORDS.get(table, ()))
-    numbers |= reader.numbers(name, {n: x for n, x in given.items() if n in RATIO}, RATIO)
+    numbers |= reader.numbers(name, {n: x for n, x in given.items() if n in FOLLOWED[kind]}, FOLLOWED[kind])
     if j.four_bar:
         linkage, choices = given.get("four_bar", {}), get_args(Assembly)
         assembly = reader.one_of(f"{name}.four_bar", linkage, "assembly", choices)
@@ -577,10 +649,10 @@ def _joint(
     if j.driven:
         where, hydraulics = f"{name}.hydraulics", given.get("hydraulics", {})
         numbers |= _rated(reader, where, hydraulics, numbers, density)
+        numbers |= _by_size(numbers, density)
         part = hydraulics.get("part", j.part)
-        if not isinstance(part, str) or not re.fullmatch(PART, part) or part in COMPONENTS:
-            expected = f"a name of small letters, digits and _, none of {', '.join(COMPONENTS)}"
-            reader.wrong(where, f"part: expected {expected}, got {part!r}")
+        if not isinstance(part, str) or not re.fullmatch(PART, part):
+            reader.wrong(where, f"part: expected a name of small letters, digits and _, got {part!r}")
         j = replace(j, part=str(part))
     if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
         rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
@@ -591,9 +663,38 @@ def _joint(
         if closed < stroke + bore:
             expected = f"at least {stroke + bore:g} mm, the stroke and a bore for piston, gland and eyes"
             reader.wrong(f"{name}.cylinder", f"closed: expected {expected}, got {closed:g} mm")
-    if "stop_at" in numbers and abs(j.start.value) > numbers["stop_at"].value:
-        reader.wrong("start", f"{name}: expected between the end stops of the joint, got {starts[name]!r}")
-    return replace(j, numbers=numbers)
+    if "stop_at" in numbers:
+        low, high = (numbers[n].value for n in ("stop_from", "stop_at"))
+        if "from" not in given["stop"]:
+            low = -high
+            numbers.pop("stop_from")
+        if low >= high:
+            expected = f"above {low:g} {UNITS[kind][0]}, the lower end"
+            reader.wrong(f"{name}.stop", f"at: expected {expected}, got {given['stop'].get('at')!r}")
+        elif j.start.value < low or j.start.value > high:
+            reader.wrong(
+                "start", f"{name}: expected between the end stops of the joint, got {starts.get(name, 0)!r}"
+            )
+    return replace(j, numbers=numbers | _together(reader, name, numbers))
+
+
+# powers of the number of cylinders between the same pins in the numbers of one that has their areas
+TOGETHER = {"bore": 0.5, "rod": 0.5, "barrel_mass": 1.0, "rod_mass": 1.0}
+TOGETHER |= {"dead_volume": 1.0, "piston_damping": 1.0, "piston_coulomb": 1.0}
+
+
+def _together(reader: _Reader, name: str, numbers: dict[str, Number]) -> dict[str, Number]:
+    """Numbers of the one cylinder that stands for several between the same pins."""
+    if "count" not in numbers:
+        return {}
+    count = numbers.pop("count").value
+    if count != round(count):
+        reader.wrong(f"{name}.cylinder", f"count: expected a whole number, got {count:g}")
+    if count == 1:
+        return {}
+    note = f"of one with the areas of {count:g} cylinders"
+    own = {n: (x, count**power) for n, power in TOGETHER.items() if (x := numbers.get(n))}
+    return {n: replace(x, value=factor * x.value, note=f"{x.note}; {note}") for n, (x, factor) in own.items()}
 
 
 def _shape(reader: _Reader, name: str, value: Any) -> Path | None:
@@ -622,6 +723,29 @@ def _rated(
     coefficient = numbers_of(BOOM_STICK)["parameters"]["valve_discharge_coefficient"].value
     area = read["rated_flow"].value / (coefficient * math.sqrt(2 * read["rated_drop"].value / density))
     return {"valve_area": Number(area, "m2", "derived", "of its rated flow at a pressure drop over one edge")}
+
+
+def _by_size(read: Mapping[str, Number], density: float) -> dict[str, Number]:
+    """Numbers that the file does not have, at the size of the drive: those of the paper's boom and swing.
+
+    The dead volume follows the swept one, friction of the piston the square of its bore, the volume of a
+    motor its displacement, leakage the area of the valve; the hose has 5 m/s at the flow of the section.
+    """
+    of, size = {n: x.value for n, x in read.items()}, numbers_of(BOOM_STICK)["parameters"]
+    paper = {n: x.value for n, x in {**numbers_of(SWING)["parameters"], **size}.items()}
+    jet = paper["valve_discharge_coefficient"] * math.sqrt(2 * COMPENSATED / density)
+    flow = of["rated_flow"] or of["valve_area"] * jet
+    found = {"valve_leakage": of["valve_leakage"] * of["valve_area"] / paper["valve_area"]}
+    found["hose_bore"] = max(math.sqrt(4 * flow / (math.pi * OIL_SPEED)), NARROWEST)
+    if "bore" in of:
+        bore = of["bore"] / paper["boom_bore"]
+        found["dead_volume"] = of["dead_volume"] * bore**2 * of["stroke"] / paper["boom_stroke"]
+        found["piston_damping"] = of["piston_damping"] * bore**2
+    if "motor_volume" in of:
+        found["motor_volume"] = of["motor_volume"] * of["motor_displacement"] / paper["motor_displacement"]
+    least = {n: DECLARED[n].minimum or 0.0 for n in found if n in DECLARED}
+    values = {n: max(x, least.get(n, 0.0)) for n, x in found.items() if read[n].note == DEFAULT}
+    return {n: replace(read[n], value=x) for n, x in values.items()}
 
 
 def _inertia(reader: _Reader, name: str, value: Any, body: Mapping[str, Number]) -> dict[str, Number]:

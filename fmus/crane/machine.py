@@ -22,8 +22,18 @@ from fmus.components.additions import CushionWithoutColumn
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
 from fmus.contract import Quantity, Subsystem, family, nested, quantities
+from fmus.crane import sizes
+from fmus.crane.axes import at_start
 from fmus.crane.controller import controlled, controller
-from fmus.crane.description import ADDITIONS, NEW, OF_SUPPLY, CraneDescription, JointDescription, read
+from fmus.crane.description import (
+    ADDITIONS,
+    COMPENSATED,
+    NEW,
+    OF_SUPPLY,
+    CraneDescription,
+    JointDescription,
+    read,
+)
 from fmus.crane.manipulator import NAME, Dry, manipulator
 from fmus.crane.view import page_files
 from fmus.drives import cylinder, motor
@@ -37,8 +47,8 @@ from fmus.machine.build import Build, with_values
 from fmus.machine.feasible import Mechanics
 from fmus.machine.machine import Machine, with_faults
 from fmus.machine.one_block import one_block
+from fmus.machine.parts import DRIVES, feric
 from fmus.machine.path_following import TrackedMachine
-from fmus.machine.poses import outputs_at_start
 from fmus.machine.ssp import CONTROLLED, SENSED, SystemPlan
 from fmus.operator_input.model import AXES, operator
 from fmus.operator_input.work_cycle import Move, Stem, with_program
@@ -73,13 +83,15 @@ SETTINGS = (  # that the paper's machine has as multiples of its supply pressure
     *("pressure_cut_off", "pump_1_pressure_setting", "pump_2_pressure_setting"),
     *("relief_pressure", "port_relief_pressure", "counterbalance_pressure", "counterbalance_band"),
 )
+# numbers of a joint for its section, 0 if they follow from others
+OF_SECTION = ("rod_rated_flow", "head_return_area", "rod_return_area", "head_pilot_ratio", "rod_pilot_ratio")
 HEAVY = 1 / 8  # of the supply pressure: a side that carries more at the start has a low pilot ratio
 
 
 def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     """The machine of a description; faults: whether its parts have faults as inputs."""
     parts = {NAME: {"rigid": manipulator(crane)}}
-    names, pose = list(dict.fromkeys(j.part for j in crane.driven)), outputs_at_start(parts[NAME]["rigid"])
+    names, pose = list(dict.fromkeys(j.part for j in crane.driven)), at_start(crane)
     for name in names:
         joints = [j for j in crane.driven if j.part == name]
         made = {v: drives(crane, name, joints, pose, v, faults) for v in FIDELITIES}
@@ -100,15 +112,27 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
 
 
 @cache
+def components() -> tuple[frozenset[str], frozenset[str]]:
+    """Names of the FMUs of a machine: of drives, and of the others."""
+    m = feric(faults=True)
+    return frozenset(DRIVES), frozenset({*m.components, *(sub.name for sub in m.drivers)} - {*DRIVES})
+
+
+@cache
 def taken() -> dict[str, str]:
-    """Words that are no names of joints -> why: other names begin with them, or a language has them."""
-    crane = read(NEW)
-    m = crane_machine(crane, faults=True)
+    """Words that are no names of joints -> why: other names begin with them, or a language has them.
+
+    The drives are the cylinders of the paper's machine, in which names of the part itself are the same.
+    """
+    crane, m = read(NEW), feric(faults=True)
     variants = [sub for family in m.families.values() for sub in family.values()]
-    subs = [*variants, *m.components.values(), *m.drivers]
+    others = (*variants, *m.components.values(), *m.drivers)
+    shipped = [sub for sub in others if sub.component not in (NAME, swing.SWING.component)]
+    subs = [manipulator(crane), *shipped]
     names = [n for s in subs for g in (s.parameters, s.states, s.inputs, s.outputs) for n in quantities(g)]
     names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))] + [*quantities(Dry)]
-    joints = {*AXES, *(j.name for j in crane.joints)}  # and the axes of the paper's machine
+    joints = {*AXES, *(j.name for j in crane.joints)}  # and those of the paper's machine
+    joints |= {j.name for sub in m.families[NAME].values() for j in sub.model.joints}
     words = {n.partition("_")[0]: f"the machine has the name {n}" for n in reversed(names)}
     for language, keywords in {"Modelica": MODELICA, "C": C, "Python": kwlist}.items():
         words |= dict.fromkeys(keywords, f"{language} has it as a keyword")
@@ -119,6 +143,7 @@ def with_pressures(sub: Subsystem, crane: CraneDescription) -> Subsystem:
     """A supply with the pressures of the crane, as far as it has them."""
     tables = numbers(sub)
     own = {**_settings(crane, tables["parameters"]), **crane.numbers["supply"]}
+    own |= sizes.of_supply(crane, COMPENSATED)
     found = {n: own.get(n, number) for n, number in tables["parameters"].items()}
     return replace(sub, numbers={**tables, "parameters": found})
 
@@ -147,7 +172,9 @@ def drives(
     sub = make(of_variant := fidelity(variant))
     of_swing, of_arm = swing.VARIANTS[variant], boom_stick.VARIANTS[variant]
     common = {**numbers(of_swing)["parameters"], **numbers(of_arm)["parameters"]}
-    common = {**common, **_settings(crane, common), **crane.numbers["oil"]}
+    largest = max(sizes.section_flow(crane, j, COMPENSATED) for j in joints)
+    common |= {**_settings(crane, common), **crane.numbers["oil"], **sizes.of_drives(largest, common)}
+    common |= {n: x for n, x in crane.numbers["counterbalance"].items() if x.value}
     sized = {j.name: {**j.numbers, **_sized(crane, j, common, pose)} for j in joints}
     declared, found = quantities(sub.parameters), dict[str, Number]()
     names = nested(sub.parameters, {n: n for n in declared})
@@ -213,15 +240,15 @@ def _sized(
     share = joint["valve_dead_band"] / common["valve_full_command"].value
     overlap = _derived(share, "1", "hydraulics.dead_band over valve_full_command")
     found = {f"valve_spool_overlap_{edge}": overlap for edge in EDGES}
+    if joint.motor:
+        found |= sizes.of_motor(joint)
     if "compensator_setting" not in common:
         return found
     pressure = crane.numbers["supply"]["pressure_setting"].value
     jet = common["valve_discharge_coefficient"].value * math.sqrt(2 / common["density"].value)
-    flow, note = joint["rated_flow"], "hydraulics.flow"
-    if not flow:
-        flow = joint["valve_area"] * jet * math.sqrt(common["compensator_setting"].value)
-        note = "of hydraulics.valve at compensator_setting"
-    found |= {n: _derived(flow, "m3/s", note) for n in ("section_flow", "rod_section_flow")}
+    flow = sizes.section_flow(crane, joint, common["compensator_setting"].value)
+    note = "hydraulics.flow" if joint["rated_flow"] else "of hydraulics.valve at compensator_setting"
+    found["section_flow"] = _derived(flow, "m3/s", note)
     if joint.motor:
         turn = joint["motor_displacement"] * joint["gear_ratio"]
         torque, speed = turn * pressure, flow / turn
@@ -232,27 +259,34 @@ def _sized(
             "brake_stiffness": _derived(torque / 3e-3, "N.m/rad", "3 mrad at the torque of the motor"),
             "brake_drag": _derived(0.01 * torque / speed, "N.m.s/rad", "1 % of that torque at full speed"),
         }
+    own = {n: x for n, x in joint.numbers.items() if n in OF_SECTION and x.value}
+    found["rod_section_flow"] = to_rod = own.pop("rod_rated_flow", found["section_flow"])
     head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
     force = pose[f"{joint.name}_holding_force"]
-    for side, ratio, held in (("head", head / rod, force / head), ("rod", rod / head, -force / rod)):
-        area, text = flow * ratio / (jet * math.sqrt(pressure / 2)), "half of supply.pressure at full command"
+    for side, emptied, held in (
+        ("head", to_rod.value * head / rod, force / head),
+        ("rod", flow * rod / head, -force / rod),
+    ):
+        area, text = emptied / (jet * math.sqrt(pressure / 2)), "half of supply.pressure at full command"
         found[f"{side}_return_area"] = _derived(area, "m2", text)
         as_of = "boom_head" if held > HEAVY * pressure else "boom_rod"
         found[f"{side}_pilot_ratio"] = common[f"{as_of}_pilot_ratio"]
-    return found
+    return found | own
 
 
 def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:
     """Numbers of the paper's machine that supplies and drives have; those of joints without their names."""
     known = (numbers(s) for of in (swing, boom_stick, supplies) for s in of.VARIANTS.values())
     shipped = {x for tables in known for x in tables["parameters"].values()}
-    names, pose, found = [j.name for j in crane.driven], outputs_at_start(manipulator(crane)), {}
+    names, pose, found = [j.name for j in crane.driven], at_start(crane), {}
     parts = {j.part: [other for other in crane.driven if other.part == j.part] for j in crane.driven}
     for kind, subs in {
         "supply": [with_pressures(sub, crane) for sub in supplies.VARIANTS.values()],
         "drives": [drives(crane, n, of, pose, v) for n, of in parts.items() for v in FIDELITIES],
     }.items():
-        own = {n.partition("_"): x for s in subs for n, x in numbers(s)["parameters"].items() if x in shipped}
+        own_of = {n: x for s in subs for n, x in numbers(s)["parameters"].items()}
+        listed = {n: x for n, x in own_of.items() if x in shipped or x.note.startswith(sizes.SCALED)}
+        own = {n.partition("_"): x for n, x in listed.items()}
         found[kind] = {n[2] if n[0] in names else "".join(n): x for n, x in own.items() if x.value}
     return found
 

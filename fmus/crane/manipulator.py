@@ -9,8 +9,9 @@ Validity: rigid links, viscous friction, the pins of a cylinder in the plane of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,12 +19,13 @@ import casadi as ca
 
 from fmus import ports
 from fmus.components.chain import Link, Payload, Vector, gravity_on_slope
-from fmus.components.linkage import Cylinder, Drive, FourBar, Telescope
+from fmus.components.linkage import Cylinder, Drive, FourBar, Telescope, direction, length
+from fmus.components.mechanics import Point
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities
 from fmus.crane.description import (
+    FOLLOWED,
     INERTIA,
     OF_JOINT,
-    RATIO,
     TABLES,
     UNITS,
     CraneDescription,
@@ -88,17 +90,26 @@ class Dry(
     bristle_damping_time: Scalar = quantities(FrictionParameters)["bristle_damping_time"]
 
 
-# a number of a joint -> name of its contact, its parameter, its state, the output of its friction
-CONTACTS = {
-    "coulomb": ("joint", JointContact, JointBristles, "torque", "N.m"),
-    "piston_coulomb": ("piston", PistonContact, PistonBristles, "force", "N"),
+# kind of a joint -> number -> name of its contact, its parameter, its state, the output of its friction
+PISTON = ("piston", PistonContact, PistonBristles, "force", "N")
+CONTACTS: Mapping[str, Mapping[str, tuple[str, type[Group], type[Group], str, str]]] = {
+    "revolute": {
+        "coulomb": ("joint", JointContact, JointBristles, "torque", "N.m"),
+        "piston_coulomb": PISTON,
+    },
+    "prismatic": {
+        "coulomb": ("joint", PistonContact, PistonBristles, "joint_force", "N"),
+        "piston_coulomb": PISTON,
+    },
 }
+MASSES = ("barrel_mass", "rod_mass", "rocker_mass", "coupler_mass")
 
 
 def contacts(joint: JointDescription) -> tuple[str, str]:
     """Names of those with dry friction: of the joint and of its piston, "" without."""
-    known = (n in joint.numbers and joint[n] > 0 for n in CONTACTS)
-    of_joint, of_piston = (f"{joint.name}_{c[0]}" * k for k, c in zip(known, CONTACTS.values(), strict=True))
+    rubs = (n in joint.numbers and joint[n] > 0 for n in CONTACTS[joint.kind])
+    names = (f"{joint.name}_{c[0]}" for c in CONTACTS[joint.kind].values())
+    of_joint, of_piston = (name * yes for name, yes in zip(names, rubs, strict=True))
     return of_joint, of_piston
 
 
@@ -107,7 +118,8 @@ TEXTS = {n: q.text for n, q in OF_JOINT["revolute"].items()}
 
 def numbers_of(joint: JointDescription) -> dict[str, Number]:
     """Numbers of a joint that are parameters of the manipulator; zeros are structure."""
-    others = CONTACTS if joint.follows else {**CONTACTS, **RATIO}
+    contacts = CONTACTS[joint.kind]
+    others = contacts if joint.follows else {**contacts, **FOLLOWED[joint.kind]}
     known = OF_JOINT[joint.kind].keys() - others
     return {n: x for n, x in joint.numbers.items() if n in known and x.value != 0}
 
@@ -131,7 +143,7 @@ def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> Join
             at=(o.at_x, o.at_y, o.at_z),
             parent=names.index(j.parent) if j.parent else None,
             follows=names.index(j.follows) if j.follows else None,
-            ratio=o.ratio if j.follows else 1,
+            law=(lambda q: o.ratio * q + o.offset) if j.follows else (lambda q: q),
         )
 
     def body(p: Any) -> dict[str, Any]:
@@ -139,18 +151,61 @@ def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> Join
         centre = o.centre_x, o.centre_y, o.centre_z
         return {"mass": o.mass, "centre": centre, "inertia": [getattr(o, n) for n in INERTIA]}
 
-    def drive(p: Any) -> Drive:
-        o = of(p)
-        base, pivot, end = (o.base_x, o.base_z), (o.pivot_x, o.pivot_z), (o.link_x, o.link_z)
-        if not j.revolute:
-            return Telescope()
-        if j.four_bar:
-            return FourBar(base, o.closed_length, pivot, o.rocker, o.coupler, end, j.assembly)
-        return Cylinder(base, (o.pin_x, o.pin_z), o.closed_length)
+    u, v, side = j.plane
 
-    def stop(p: Any) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    def linkage(p: Any) -> Cylinder | FourBar:
         o = of(p)
-        return o.stop_at, o.stop_stiffness, o.stop_damping, STOP_ROUNDING
+
+        def pin(name: str) -> Point:
+            x, y = getattr(o, f"{name}_{u}"), getattr(o, f"{name}_{v}")
+            return x, y if side > 0 else -y
+
+        if j.four_bar:
+            rod = (o.rod_x, o.rod_z) if {"rod_x", "rod_z"} & own.keys() else None
+            lengths = (o.rocker, o.coupler, pin("link"), j.assembly, rod)
+            return FourBar(pin("base"), o.closed_length, pin("pivot"), *lengths)
+        return Cylinder(pin("base"), pin("pin"), o.closed_length)
+
+    def drive(p: Any) -> Drive:
+        return linkage(p) if j.revolute else Telescope()
+
+    def carried(p: Any, first: int) -> list[Link]:
+        """Barrel and rod, rocker and coupler, as far as they have masses: slender bars from pin to pin."""
+        links, o, of_joint = list[Link](), of(p), names.index(j.name)
+        if not own.keys() & {*MASSES}:
+            return links
+        cylinder, carrier = linkage(p), names.index(j.parent) if j.parent else None
+
+        def vector(along: Scalar, across: Scalar) -> Vector:
+            x, y, z = ({u: along, v: across if side > 0 else -across}.get(n, 0) for n in "xyz")
+            return x, y, z
+
+        def bar(name: str, pin: Point, mass: Scalar, long: Scalar, law: Any, **other: Any) -> None:
+            joint = (0, 0, 0) if "parent" in other else (o.at_x, o.at_y, o.at_z)
+            x, y, z = (a + b for a, b in zip(joint, vector(*pin), strict=True))
+            keys = {"joint": "revolute", "axis": j.axis, "parent": carrier, "inertia": "bar", **other}
+            body = {"mass": mass, "centre": vector(long / 2, 0), "follows": of_joint, "law": law}
+            links.append(Link(f"{j.name}_{name}", at=(x, y, z), **keys, **body))
+
+        if {"barrel_mass", "rod_mass"} & own.keys():
+            bar("barrel", cylinder.base, o.barrel_mass, o.closed_length, partial(direction, cylinder))
+            slide = {"joint": "prismatic", "axis": u, "parent": first}
+            bar("rod", (0, 0), o.rod_mass, -o.closed_length, partial(length, cylinder), **slide)
+        if {"rocker_mass", "coupler_mass"} & own.keys() and isinstance(cylinder, FourBar):
+            bars, parent = cylinder, first + len(links)
+            bar("rocker", bars.pivot, o.rocker_mass, o.rocker, lambda q: bars.angles(q)[0])
+
+            def fold(q: Scalar) -> Scalar:
+                rocker, coupler = bars.angles(q)
+                return coupler - rocker
+
+            bar("coupler", (o.rocker, 0), o.coupler_mass, o.coupler, fold, parent=parent)
+        return links
+
+    def stop(p: Any) -> tuple[Scalar, ...]:
+        o = of(p)
+        low = o.stop_from if "stop_from" in j.numbers else -o.stop_at
+        return low, o.stop_at, o.stop_stiffness, o.stop_damping, STOP_ROUNDING
 
     model = JointModel(
         name=j.name,
@@ -162,9 +217,11 @@ def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> Join
         motor=j.motor,
         drive=drive if j.cylinder else None,
         piston=(lambda p: (of(p).stroke, of(p).piston_damping)) if j.cylinder else None,
-        stop=stop if "stop_at" in own else None,
+        stop=stop if "stop_at" in j.numbers else None,
         stop_shown=f"{j.name}_stop_torque",
         contacts=contacts(j),
+        rubs=("torque" if j.revolute else "joint_force", "force"),
+        bars=carried,
         follows=bool(j.follows),
         rests=not j.follows and not j.driven and (j.revolute or "stiffness" in own),
     )
@@ -239,7 +296,10 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         states[f"{j.name}_speed"] = Quantity(f"{j.start.unit}/s", f"Speed of the {j.name} joint")
     held = _of(ManipulatorState, "held_mass", "payload_flow")
     rubbing = [
-        (j, name, c) for j in free for name, c in zip(contacts(j), CONTACTS.values(), strict=True) if name
+        (j, name, c)
+        for j in free
+        for name, c in zip(contacts(j), CONTACTS[j.kind].values(), strict=True)
+        if name
     ]
     bristles = {name: (c[2], f"{j.name} {c[0]}") for j, name, c in rubbing}
     state = make_group("State", {**states, **held}, **bristles)
@@ -338,7 +398,7 @@ def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
         found |= {f"{j.name}_{n}": x for n, x in own.items()}
     bases: list[type[Group]] = []
     for j in crane.joints:
-        for name, (n, c) in zip(contacts(j), CONTACTS.items(), strict=True):
+        for name, (n, c) in zip(contacts(j), CONTACTS[j.kind].items(), strict=True):
             if name:
                 groups[name] = (c[1], f"{j.name} {c[0]}")
                 found[f"{name}_coulomb"], bases = j.numbers[n], [Dry]

@@ -12,18 +12,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from fmus.contract import column
-from fmus.crane.axes import SUPPLIES, AxisCheck, Speeds
+from fmus.contract import Subsystem, Symbolic, column, symbolic
+from fmus.crane.axes import SUPPLIES, AxisCheck, Speeds, at_start
 from fmus.crane.description import CraneDescription
 from fmus.crane.machine import drives, with_pressures
-from fmus.crane.manipulator import manipulator
 from fmus.machine.machine import wiring
-from fmus.machine.poses import outputs_at_start
 from fmus.monolith import Monolith, join
 from fmus.supply import supply
 
@@ -36,16 +35,20 @@ def full_speeds(
     crane: CraneDescription, found: Sequence[AxisCheck], variants: Sequence[str] = tuple(SUPPLIES)
 ) -> dict[str, Speeds]:
     """Of each joint; negative: against the command; NaN: no steady motion."""
-    pose = outputs_at_start(manipulator(crane))
-    return {a.joint.name: {v: _speeds(crane, a, pose, v) for v in variants} for a in found}
+    return {a.joint.name: {v: _speeds(crane, a, v) for v in variants} for a in found}
 
 
-def _speeds(
-    crane: CraneDescription, a: AxisCheck, pose: Mapping[str, float], variant: str
-) -> tuple[float, float, float]:
-    fed = with_pressures(supply([a.joint.part])[SUPPLIES[variant]], crane)
+@lru_cache(maxsize=16)
+def _fed(crane: CraneDescription, part: str, variant: str) -> tuple[Subsystem, Symbolic]:
+    """The supply of one part."""
+    fed = with_pressures(supply([part])[SUPPLIES[variant]], crane)
+    return fed, symbolic(fed)
+
+
+def _speeds(crane: CraneDescription, a: AxisCheck, variant: str) -> tuple[float, float, float]:
+    pose, (fed, known) = at_start(crane), _fed(crane, a.joint.part, variant)
     chosen = {a.joint.part: drives(crane, a.joint.part, [a.joint], pose, variant), fed.component: fed}
-    model = join(chosen, *wiring(chosen))
+    model = join(chosen, *wiring(chosen), known={fed.component: known})
     (out, oil_out), (inwards, oil_inwards) = (_steady(model, a, pose, sign) for sign in (1.0, -1.0))
     return out, inwards, max(oil_out, oil_inwards)
 
@@ -54,14 +57,14 @@ def _steady(model: Monolith, a: AxisCheck, pose: Mapping[str, float], sign: floa
     """Speed of the joint, and of the oil in its hoses, at full command of a sign."""
     name, motor = a.joint.name, a.joint.motor
     effort, motion = ("torque", "speed") if motor else ("force", "velocity")
-    viscous = a.joint["damping"] + (0.0 if motor else a.lever**2 * a.joint["piston_damping"])
+    viscous = a.damping + (0.0 if motor else a.lever**2 * a.joint["piston_damping"])
     x, w = ca.SX.sym("x", len(model.states)), ca.SX.sym("w")
     given: dict[str, Any] = dict(zip(model.inputs, map(float, model.u), strict=True))
     given |= {f"{name}_command": sign * FULL, f"{name}_{motion}": a.lever * w}
     u = column(*given.values())
     y = dict(zip(model.output_names, ca.vertsplit(model.outputs(x, u, model.p)), strict=True))
     own = f"{a.joint.part}.{name}_"
-    dry = a.joint["coulomb"] if a.joint.revolute else 0.0
+    dry = a.joint["coulomb"]
     dry += 0.0 if motor else abs(a.lever) * a.joint["piston_coulomb"]
     friction = viscous * w + dry * ca.tanh(w / SLIDING)
     torque = a.lever * (y[own + effort] - pose[f"{name}_holding_{effort}"]) - friction

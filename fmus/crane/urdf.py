@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,14 +20,23 @@ import numpy as np
 from lxml import etree
 from scipy.spatial.transform import Rotation
 
-from fmus.crane.axes import AxisCheck
-from fmus.crane.description import INERTIAS, MOST_JOINTS, SYMMETRIC, CraneDescription, JointDescription
+from fmus.crane.axes import AxisCheck, Speeds, stops
+from fmus.crane.description import (
+    ENDS,
+    INERTIAS,
+    MOST_JOINTS,
+    SYMMETRIC,
+    CraneDescription,
+    JointDescription,
+)
+from fmus.crane.machine import taken
 from orchestrator.base.errors import Mistakes, Problem, one_line
 from orchestrator.base.files import Location, write_whole
 from orchestrator.base.text import first_names, grouped
 from orchestrator.data.table import Array
 
 BASE = "base"
+XACRO = "xacro {} > robot.urdf"
 ALIGNED, ROUNDED = 0.3, 1e-6  # deg: of an axis that is taken as x, y or z: pi/2 as 1.57, of 17 digits
 MOST_BYTES = 16_000_000
 ROUNDING = 1e-12  # of numbers that become zero
@@ -37,11 +46,15 @@ RADIUS = 0.06  # m, of the bars that are shown
 # ---- export
 
 
-def export(crane: CraneDescription, found: list[AxisCheck]) -> str:
-    """The text of a URDF; ranges are those of the strokes."""
-    ranges = {a.joint.name: (a.low, a.high) for a in found}
+def export(crane: CraneDescription, found: Sequence[AxisCheck], speeds: Mapping[str, Speeds]) -> str:
+    """The text of a URDF.
+
+    Ranges are those of the strokes, effort and velocity the largest ones of the check; speeds: by joint, of
+    the drives that are built by default.
+    """
+    axes = {a.joint.name: a for a in found}
     links = "".join(_link(crane, j) for j in crane.joints)
-    joints = "".join(_joint(j, *ranges.get(j.name, (-math.inf, math.inf))) for j in crane.joints)
+    joints = "".join(_joint(j, _limits(crane, j, axes, speeds)) for j in crane.joints)
     name = quoteattr(crane.file.stem)
     return f'<?xml version="1.0"?>\n<robot name={name}>\n  <link name="{BASE}"/>\n{links}{joints}</robot>\n'
 
@@ -71,18 +84,40 @@ def _bar(end: Array) -> str:
     return f"    <visual>{place}<geometry>{shape}</geometry></visual>\n"
 
 
-def _joint(j: JointDescription, low: float, high: float) -> str:
-    bounded = math.isfinite(high - low)
+def _limits(
+    crane: CraneDescription,
+    j: JointDescription,
+    axes: Mapping[str, AxisCheck],
+    speeds: Mapping[str, Speeds],
+) -> tuple[float, float, float, float]:
+    """Ends of the coordinate, effort and velocity; zeros of a joint that nothing drives."""
+    if a := axes.get(j.name):
+        largest = max(map(abs, speeds[j.name]["lumped"][:2]))
+        return a.low, a.high, max(a.push, a.pull) * a.levers[1], largest
+    if not j.follows:
+        return *stops(j), 0.0, 0.0
+    low, high, effort, velocity = _limits(crane, crane.joint(j.follows), axes, speeds)
+    ratio = j["ratio"]
+    low, high = sorted(ratio * x + j["offset"] for x in (low, high))
+    return low, high, effort / abs(ratio) if ratio else 0.0, abs(ratio) * velocity
+
+
+def _joint(j: JointDescription, limits: tuple[float, float, float, float]) -> str:
+    bounded = math.isfinite(limits[1] - limits[0])
     kind = "continuous" if j.revolute and not bounded else j.kind
-    ends = (low, high) if bounded else (-100.0, 100.0)
-    limit = f'    <limit lower="{ends[0]:.9g}" upper="{ends[1]:.9g}" effort="0" velocity="0"/>\n'
-    mimic = f'    <mimic joint="{j.follows}_joint" multiplier="{j["ratio"]:.17g}"/>\n' if j.follows else ""
-    friction = j["coulomb"] if j.revolute else 0.0
-    losses = f'    <dynamics damping="{j["damping"]:.17g}" friction="{friction:.17g}"/>\n'
+    shown = limits if bounded else (-100.0, 100.0, *limits[2:])
+    keys = zip(("lower", "upper", "effort", "velocity"), shown, strict=True)
+    limit = "    <limit " + " ".join(
+        f'{n}="{x:.9g}"' for n, x in keys if kind != "continuous" or n[0] in "ev"
+    )
+    offset = f' offset="{j["offset"]:.17g}"' if j["offset"] else ""
+    of = f'{j.follows}_joint" multiplier="{j["ratio"]:.17g}"{offset}'
+    mimic = f'    <mimic joint="{of}/>\n' if j.follows else ""
+    losses = f'    <dynamics damping="{j["damping"]:.17g}" friction="{j["coulomb"]:.17g}"/>\n'
     return (
         f'  <joint name="{j.name}_joint" type="{kind}">\n    <parent link="{j.parent or BASE}"/>\n'
         f'    <child link="{j.name}"/>\n    <origin xyz="{_vector(j.vector("at"))}"/>\n'
-        f'    <axis xyz="{_vector(j.direction)}"/>\n{"" if kind == "continuous" else limit}{mimic}{losses}'
+        f'    <axis xyz="{_vector(j.direction)}"/>\n{limit}/>\n{mimic}{losses}'
         "  </joint>\n"
     )
 
@@ -133,6 +168,10 @@ def _imported(source: Path, target: Path) -> str:
     robot = etree.fromstring(Location(source).read(MOST_BYTES), parser)
     if robot.tag != "robot":
         raise Problem(f"{source}: expected the element robot, got {robot.tag}")
+    for element in robot.iter(etree.Element):
+        if "/xacro" in element.tag or any(re.search(r"\$[{(]", x) for x in element.attrib.values()):
+            where = f"line {element.sourceline}: {etree.QName(element).localname}"
+            raise Problem(f"{source}: {where}: expected a URDF, got xacro; first: {XACRO.format(source)}")
     links, joints = robot.findall("link"), robot.findall("joint")
     names, below = Counter(x.get("name", "") for x in links), grouped(joints, lambda j: _of(j, "parent"))
     under, moving = Counter(_of(j, "child") for j in joints), [j for j in joints if j.get("type") != "fixed"]
@@ -149,7 +188,8 @@ def _imported(source: Path, target: Path) -> str:
     if not 0 < len(moving) <= MOST_JOINTS:
         raise Problem(f"{source}: expected 1 to {MOST_JOINTS} joints that move, got {len(moving)}")
     bodies = {x.get("name", ""): _body(x) for x in links}
-    leaders = {j.get("name"): _of(j, "child") for j in joints}
+    words = _words([_of(j, "child") for j in moving])
+    leaders = {j.get("name"): words.get(_of(j, "child"), "") for j in joints}
     tables, mistakes, notes = dict[str, dict[str, Any]](), list[str](), list[str]()
     stack = [(roots[0], "", np.eye(3), np.zeros(3))]  # link, its table, its orientation and place in there
     while stack:
@@ -168,8 +208,8 @@ def _imported(source: Path, target: Path) -> str:
             except Problem as problem:
                 mistakes.append(f"{source}: {joint.get('name')}: {problem}")
                 continue
-            if (name := _word(child)) in tables:
-                mistakes.append(f"{source}: {joint.get('name')}: expected a name of its own, got {name}")
+            if child != (name := words[child]):
+                left_out.append(f"the name {child} of the link")
             tables[name] = {**table, "parent": carrier or BASE, "at": at, "left out": left_out}
             notes += [f"note: {joint.get('name')}: left out: {text}" for text in left_out]
             stack.append((child, name, turned, np.zeros(3)))
@@ -177,6 +217,9 @@ def _imported(source: Path, target: Path) -> str:
         raise Mistakes(mistakes)
     if bodies:
         raise Problem(f"{source}: {first_names(bodies)}: expected joints from {roots[0]} to all links")
+    if meshes := {x.get("filename", "") for x in robot.iter("mesh")}:
+        files = first_names(sorted(meshes))
+        notes.append(f"note: left out: {files}: shape of a joint takes a mesh in a binary glTF file (.glb)")
     passive = [name for name, table in tables.items() if "follows" not in table]
     text = "".join(_lines(tables, str(robot.get("name") or source.stem)))
     write_whole(target, text.encode())
@@ -204,24 +247,41 @@ def _table(joint: Any, turned: Array, leaders: Mapping[str, str]) -> tuple[dict[
         "axis": name,
         "body": NOTHING,
     }
-    for n in ("damping", "friction") if kind != "prismatic" else ("damping",):
-        table[n] = _number(joint.find("dynamics"), n)
+    table["damping"], friction = (_number(joint.find("dynamics"), n) for n in ("damping", "friction"))
     if (mimic := joint.find("mimic")) is not None:
-        if (leader := leaders.get(mimic.get("joint"))) is None:
-            raise Problem(f"expected mimic of a joint that exists, got {mimic.get('joint')}")
-        table["follows"] = _word(leader)
-        table["ratio"] = _number(mimic, "multiplier", 1.0)
-    for tag, n in (("mimic", "offset"), *([("dynamics", "friction")] if kind == "prismatic" else [])):
-        if value := _number(joint.find(tag), n):
-            left_out.append(f"{tag} {n} {value:g}")
+        if not (leader := leaders.get(mimic.get("joint"))):
+            raise Problem(f"expected mimic of a joint that exists and moves, got {mimic.get('joint')}")
+        table["follows"], table["ratio"] = leader, _number(mimic, "multiplier", 1.0)
+        table["offset"] = _number(mimic, "offset")
+        left_out += [f"dynamics friction {friction:g}"] if friction else []
+    else:
+        table["friction"] = friction
+    limit = joint.find("limit")
+    known = {} if limit is None else limit.attrib
+    low, high = (_number(limit, n) if n in known else 0.0 for n in ("lower", "upper"))
+    within = -ENDS[table["joint"]] <= low < high <= ENDS[table["joint"]]
+    used = {"lower", "upper"} if mimic is None and kind != "continuous" and within else set()
+    if used:
+        table["stop"] = (low, high)
     for tag in ("limit", "safety_controller"):
-        if (found := joint.find(tag)) is not None:
-            left_out.append(one_line(" ".join([tag, *(f"{n} {x}" for n, x in found.attrib.items())])))
+        given = {} if (found := joint.find(tag)) is None else found.attrib
+        nothing = {n for n in ("effort", "velocity") if given.get(n) == "0"}
+        others = [f"{n} {x}" for n, x in given.items() if n not in used | nothing]
+        left_out += [one_line(" ".join([tag, *others]))] if others else []
     return table, left_out
 
 
-def _word(name: str) -> str:
-    return re.sub("[^a-z0-9]", "", name.lower()) or "joint"
+def _words(names: Sequence[str]) -> dict[str, str]:
+    """Names as those of joints, one word each, all of them different, none that a machine has otherwise."""
+    found, used = dict[str, str](), set(taken())
+    for name in names:
+        word = first = re.sub("^[0-9]+|[^a-z0-9]", "", name.lower()) or "joint"
+        number = 2
+        while word in used:
+            word, number = f"{first}{number}", number + 1
+        used.add(word)
+        found[name] = word
+    return found
 
 
 def _of(joint: Any, tag: str) -> str:
@@ -267,12 +327,17 @@ def _lines(tables: Mapping[str, Mapping[str, Any]], title: str) -> Iterator[str]
         body: _Body = table["body"]
         entries = {"at": table["at"], "mass": body.mass, "centre": body.centre}
         entries["inertia"] = body.inertia.ravel()[[0, 4, 8, 1, 2, 5]]
-        entries |= {n: table[n] for n in ("damping", "friction", "ratio") if n in table}
+        entries |= {n: table[n] for n in ("damping", "friction", "ratio", "offset") if n in table}
         yield f"\n[{name}]\n"
         yield from (f"# left out: {text}\n" for text in table["left out"])
         yield from (f'{n} = "{table[n]}"\n' for n in ("joint", "axis", "parent", "follows") if n in table)
         yield from (f"{n} = {_toml(value)}\n" for n, value in entries.items())
-    yield f'\n[payload]\non = "{[*tables][-1]}"\nat = [0, 0, 0]  # the tip\n'
+        if stop := table.get("stop"):  # a cylinder ends at its stroke instead
+            yield f"stop = {{ from = {_toml(stop[0])}, at = {_toml(stop[1])} }}\n"
+    yield f'\n[payload]\non = "{[*tables][-1]}"\nat = [0, 0, 0]  # the tip\n\n[start]\n'
+    for name, (low, high) in ((n, table["stop"]) for n, table in tables.items() if "stop" in table):
+        if not low <= 0 <= high:
+            yield f"{name} = {_toml(min(max(0.0, low), high))}\n"
 
 
 def _toml(value: Any) -> str:

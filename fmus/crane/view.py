@@ -120,7 +120,7 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
         first = sorted(order, key=lambda j: not j.revolute)[:STICKS]
         order = [*first, *(j for j in order if j not in first)]
     for k, j in enumerate(order[:MOST]):
-        ends = WORDS["motor" if j.motor else j.kind]
+        ends = WORDS["motor" if j.revolute and j.axis[-1] == "z" else j.kind]
         sign = of.joint(j.name).lever
         if k == 2 or not j.revolute:  # towards the operator is in, or down
             ends, sign = (ends[1], ends[0]), -sign
@@ -275,9 +275,11 @@ def _linkage(j: JointDescription) -> dict[str, Any]:
 
 def _cylinder(j: JointDescription) -> dict[str, Any]:
     rocker, pin = f"{j.name}_rocker", {"body": j.name, "at": _place(j, "pin")}
+    beside = [x for x in _place(j, "rod") if x]
+    end = _place(j, "rod") if beside else [rocker, 0, 0]
     return {
         "base": {"body": j.parent or "ground", "at": _place(j, "at", "base")},
-        "pin": {"body": rocker, "at": [rocker, 0, 0]} if j.four_bar else pin,
+        "pin": {"body": rocker, "at": end} if j.four_bar else pin,
         "closed_length": f"{j.name}_closed_length",
         "stroke": f"{j.name}_stroke",
         "barrel_radius": round(0.6 * j["bore"], 4),
@@ -338,7 +340,7 @@ def _inside(crane: CraneDescription, j: JointDescription) -> float:
 
 def _pins(crane: CraneDescription, j: JointDescription) -> Iterator[Array]:
     """Pins on the link of a joint, in its plane: of its own drive and of the drives behind it."""
-    turned = [other for other in crane.joints if other.revolute and other.cylinder]
+    turned = [other for other in crane.joints if other.axis[-1] == "y" and other.cylinder]
     if j in turned:
         yield j.vector("link" if j.four_bar else "pin", "xz")
     for other in (other for other in turned if other.parent == j.name):

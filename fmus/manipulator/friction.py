@@ -110,9 +110,10 @@ def resist(
     contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters, damping: Scalar
 ) -> Resistance:
     """Resistance of one contact."""
-    law = p.piston if contact.endswith("piston") else p.joint
+    own = getattr(p, contact)
+    law = p.piston if isinstance(own, PistonContact) else p.joint
     dry = Bristles(
-        coulomb=getattr(p, contact).coulomb,
+        coulomb=own.coulomb,
         static_ratio=law.static_ratio,
         stribeck_speed=law.stribeck_speed,
         deflection=law.presliding,

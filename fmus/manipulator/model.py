@@ -46,7 +46,8 @@ PORTS = (
 def _swing_stop(p: ManipulatorParameters) -> tuple[Scalar, ...]:
     """At +- `swing_stop_angle`, none if that is 0."""
     stiffness = ca.if_else(p.swing_stop_angle > 0, p.swing_stop_stiffness, 0)
-    return p.swing_stop_angle, stiffness, p.swing_stop_damping, SWING_STOP_ROUNDING
+    end = p.swing_stop_angle
+    return -end, end, stiffness, p.swing_stop_damping, SWING_STOP_ROUNDING
 
 
 def boom_pivot(p: Any) -> Vector:

@@ -109,7 +109,10 @@ YOKE = JointModel(
         "inertia": (p.head_inertia, p.head_inertia, 0, 0, 0, 0),
     },
     damping=lambda p: p.head_joint_damping,
-    stop=lambda p: (p.head_stop_angle, p.head_stop_stiffness, p.head_stop_damping, STOP_ROUNDING),
+    stop=lambda p: (
+        *(-p.head_stop_angle, p.head_stop_angle),
+        *(p.head_stop_stiffness, p.head_stop_damping, STOP_ROUNDING),
+    ),
     stop_shown="head_stop_torque",
 )
 # swing, boom, stick, pin and yoke over the coordinates: the angle of the head is that from the vertical

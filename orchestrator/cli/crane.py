@@ -35,7 +35,6 @@ def crane(
     require("build", "harvester crane")
     from fmus.crane.axes import capacity
     from fmus.crane.check import check, table
-    from fmus.crane.check import drawing as drawn
     from fmus.crane.description import new, read
     from fmus.crane.speeds import full_speeds
 
@@ -57,12 +56,14 @@ def crane(
         from orchestrator.base.files import write_whole
 
         target = out or file.with_suffix(".urdf")
-        write_whole(target, export(description, found).encode())
+        speeds = full_speeds(description, found, ["lumped"])
+        write_whole(target, export(description, found, speeds).encode())
         print(f"{target}: {len(description.joints)} links")
         return
     loads = capacity(description, found)
     print(table(description, found, loads, full_speeds(description, found)))
     if drawing is not None:
+        from fmus.crane.drawing import drawing as drawn
         from orchestrator.base.files import write_whole
         from orchestrator.pages.plotting import png
 

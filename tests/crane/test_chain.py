@@ -123,18 +123,21 @@ def random_links(rng):
             "bar" if rng.random() < 0.3 else random_inertia(rng),
         )
         if free and rng.random() < 0.3:
-            link = replace(link, follows=int(rng.choice(free)), ratio=float(rng.uniform(-3, 3)))
+            ratio, offset = rng.uniform(-3, 3, 2).tolist()
+            law = lambda q, ratio=ratio, offset=offset: ratio * q + offset  # noqa: E731
+            link = replace(link, follows=int(rng.choice(free)), law=law)
         links.append(link)
     return tuple(links)
 
 
 def joints_of(chain):
-    """Matrix from q to the coordinates of all joints."""
+    """Matrix and column from q to the coordinates of all joints."""
     free = [i for i, link in enumerate(chain.links) if link.follows is None]
-    matrix = np.zeros((len(chain.links), len(free)))
+    matrix, column = np.zeros((len(chain.links), len(free))), np.zeros(len(chain.links))
     for i, link in enumerate(chain.links):
-        matrix[i, free.index(i if link.follows is None else link.follows)] = link.ratio
-    return matrix
+        column[i] = link.law(0.0)
+        matrix[i, free.index(i if link.follows is None else link.follows)] = link.law(1.0) - column[i]
+    return matrix, column
 
 
 @examples(60)
@@ -145,11 +148,11 @@ def test_any_tree_is_pinocchio_s(pin, seed):
     links, gravity, at = random_links(rng), point(rng, 7.0), point(rng)
     load = Payload(int(rng.integers(len(links))), at, float(rng.uniform(0, 100)))
     chain = Chain(links, gravity)
-    turn = joints_of(chain)
+    turn, shift = joints_of(chain)
     q, w = rng.uniform(-3, 3, turn.shape[1]), rng.uniform(-2, 2, turn.shape[1])
     model = bodies(pin, links, gravity, load)
-    mass, coriolis, weight, *energies = by_pinocchio(pin, model, turn @ q, turn @ w)
-    place, jacobian, velocity = payload_by_pinocchio(pin, model, turn @ q, turn @ w)
+    mass, coriolis, weight, *energies = by_pinocchio(pin, model, turn @ q + shift, turn @ w)
+    place, jacobian, velocity = payload_by_pinocchio(pin, model, turn @ q + shift, turn @ w)
     theirs = [turn.T @ mass @ turn, turn.T @ coriolis, turn.T @ weight, *energies]
     theirs += [turn.T @ jacobian.T @ velocity, velocity @ velocity / 2, -np.array(gravity) @ place]
     # exact identities; 1e-12 of the largest entry is 1e4 rounding errors; its terms are larger than their sum
@@ -214,7 +217,7 @@ def test_telescope_slides_down_the_slope_and_outwards_as_it_turns():
 def test_what_is_not_stated_is_zero():
     """A link without numbers has no mass and its parent's origin; points are origins, the base is level."""
     zero, chain, q, w, f = (0, 0, 0), Chain(CRANE), ca.DM(range(7)), ca.DM(range(7)), ca.DM([5, 6, 7])
-    bare, none = Link("a", "revolute", "y"), {"parent": None, "mass": 0, "follows": None, "ratio": 1}
+    bare, none = Link("a", "revolute", "y"), {"parent": None, "mass": 0, "follows": None}
     assert bare == replace(bare, at=zero, centre=zero, inertia=2 * zero, **none)
     for method, *of in ((chain.position, q), (chain.velocity, q, w), (chain.generalised_force, q, f)):
         np.testing.assert_array_equal(ca.DM(method(*of, 6)).full(), ca.DM(method(*of, 6, zero)).full())

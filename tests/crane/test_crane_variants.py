@@ -24,9 +24,9 @@ AXES = ("boom", "jib", "extension")
 @cache
 def other():
     """The loader whose boom has its section by the flow, a hose of 12 m and a dead band of 1 V."""
-    boom = 'flow = "90 l/min", hose = "12 m", dead_band = "1 V" }'
+    boom = 'flow = "90 l/min", hose = "12 m", dead_band = "1 V"'
     with TemporaryDirectory() as folder:
-        return crane_machine(read(changed(Path(folder), ('valve = "40 mm2", hose = "3 m" }', boom))))
+        return crane_machine(read(changed(Path(folder), ('valve = "40 mm2", hose = "3 m"', boom))))
 
 
 def driven(variant, lever, stop, tolerance=1e-6):

@@ -1,8 +1,10 @@
 """Cranes as URDF: another library reads the same mechanics, and a foreign URDF becomes a crane."""
 
 import os
+import re
 from operator import attrgetter
 from pathlib import Path
+from xml.etree import ElementTree
 
 import casadi as ca
 import numpy as np
@@ -42,6 +44,10 @@ FOREIGN = """<robot name="arm"><link name="world"/>
   <limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
 
 
+# of the loader, made up: to both sides, and of the oil
+SPEEDS = {j.name: {"lumped": (0.5 + k, -1.0 - k, 9.0)} for k, j in enumerate(crane().driven)}
+
+
 def same(pin, crane, text, q):
     """M and G of a crane whose joints are all free are those of Pinocchio's reader, within rounding."""
     sub = manipulator(crane)
@@ -60,7 +66,7 @@ def same(pin, crane, text, q):
 
 def test_an_export_has_the_same_mechanics_in_pinocchio(pin):
     """M and G of the loader at random coordinates, its second stage as a joint of its own."""
-    text = export(crane(), checked()).replace('<mimic joint="extension_joint" multiplier="1"/>', "")
+    text = export(crane(), checked(), SPEEDS).replace('<mimic joint="extension_joint" multiplier="1"/>', "")
     for q in np.random.default_rng(4).uniform(-1, 1, (20, 7)):
         same(pin, crane(), text, q)
 
@@ -80,14 +86,18 @@ def test_a_foreign_urdf_becomes_a_crane_with_the_same_mechanics(pin, tmp_path):
 
 
 def test_an_exported_crane_comes_back(tmp_path):
-    """All numbers of links and joints, also the coupled stage."""
-    (tmp_path / "a.urdf").write_text(export(crane(), checked()), encoding="utf-8")
+    """All numbers of links and joints, also the coupled stage; ranges as end stops, with a start within."""
+    (tmp_path / "a.urdf").write_text(export(crane(), checked(), SPEEDS), encoding="utf-8")
     imported(tmp_path / "a.urdf", tmp_path / "a.toml")
     again = read(tmp_path / "a.toml")
+    check(again)
+    for axis in checked()[1:]:
+        ends = [again.joint(axis.joint.name)[n] for n in ("stop_from", "stop_at")]
+        assert ends == pytest.approx([axis.low, axis.high], rel=1e-8)  # of the digits
     same_of = attrgetter("name", "kind", "axis", "parent", "follows")
     for one, other in zip(crane().joints, again.joints, strict=True):
         assert same_of(one) == same_of(other)
-        kept = [n for n in other.numbers if n != "stiffness"]
+        kept = [n for n in other.numbers if n != "stiffness" and not n.startswith("stop")]
         assert [one[n] for n in kept] == pytest.approx([other[n] for n in kept], abs=1e-11)
 
 
@@ -106,7 +116,10 @@ REFUSED = {
     "arm: expected one link of a name": ("</robot>", '<link name="arm"/></robot>'),
     "leg: expected links that exist": ("</robot>", JOINT.format("j5", "arm", "leg") + "</robot>"),
     "b, c: expected joints from world to all links": ("</robot>", f"{RING}</robot>"),
-    "j4: expected mimic of a joint that exists, got j9": ("</joint></r", '<mimic joint="j9"/></joint></r'),
+    "j4: expected mimic of a joint that exists and moves, got j9": (
+        "</joint></r",
+        '<mimic joint="j9"/></joint></r',
+    ),
 }
 
 
@@ -133,16 +146,73 @@ def test_rounded_angles_give_the_nearest_axis_and_a_note(tmp_path, written, off)
 
 
 def test_what_a_crane_has_no_key_for_is_told_and_a_comment(tmp_path):
-    """Limits, dry friction along a telescope, the offset of a coupled joint."""
+    """Effort and velocity, limits and dry friction of a coupled joint, names with other letters, meshes."""
     source, target = tmp_path / "arm.urdf", tmp_path / "arm.toml"
     more = '<mimic joint="j3" multiplier="2" offset="0.3"/><dynamics damping="3" friction="40"/>'
-    source.write_text(FOREIGN.replace("</joint></robot>", f"{more}</joint></robot>"), encoding="utf-8")
+    mesh = '<link name="slide"><visual><geometry><mesh filename="a.stl"/></geometry></visual>'
+    text = FOREIGN.replace("</joint></robot>", f"{more}</joint></robot>")
+    source.write_text(text.replace('<link name="slide">', mesh), encoding="utf-8")
     told, text = imported(source, target), target.read_text(encoding="utf-8")
-    for left_out in ("mimic offset 0.3", "dynamics friction 40", "limit lower 0 upper 1 effort 1 velocity 1"):
-        assert f"note: j4: left out: {left_out}" in told
-        assert f"# left out: {left_out}\n" in text
-    slide = read(target).joints[-1]
-    assert (slide.follows, slide["ratio"], slide["damping"]) == ("arm", 2, 3)
+    for joint, left_out in {
+        "j1": "the name Column 1 of the link",
+        "j3": "limit effort 1 velocity 1",
+        "j4": "dynamics friction 40\nnote: j4: left out: limit lower 0 upper 1 effort 1 velocity 1",
+    }.items():
+        assert f"note: {joint}: left out: {left_out}" in told
+        assert f"# left out: {left_out.splitlines()[0]}" in text.splitlines()
+    assert "note: left out: a.stl: shape of a joint takes a mesh in a binary glTF file" in told
+    _, arm, slide = read(target).joints
+    assert (slide.follows, slide["ratio"], slide["offset"], slide["damping"]) == ("arm", 2, 0.3, 3)
+    assert (arm["stop_from"], arm["stop_at"]) == (-1, 1)
+
+
+NAMES = {"return": "return2", "Boom-Link": "boomlink", "2nd arm": "ndarm", "relief": "relief2", "été": "t"}
+
+
+@pytest.mark.parametrize(("name", "word"), NAMES.items())
+def test_any_name_of_a_link_becomes_one_of_a_joint(tmp_path, name, word):
+    """One word, none that a machine has otherwise, and another one than those before it."""
+    source, target = tmp_path / "a.urdf", tmp_path / "a.toml"
+    joints = [("revolute", "base", name), ("revolute", name, f"{name}_")]
+    source.write_text(chain_of(joints), encoding="utf-8")
+    told = imported(source, target)
+    assert [read_names(target)[0], f"note: j0: left out: the name {name} of the link" in told] == [word, True]
+    assert len(set(read_names(target))) == 2
+
+
+def read_names(path):
+    """Names of the joints of a file."""
+    return re.findall(r"^\[(\w+)\]$", path.read_text(encoding="utf-8"), re.MULTILINE)[:2]
+
+
+def test_effort_and_velocity_are_those_of_the_check():
+    """Force times the largest lever; the coupled stage moves with the first one; no ends of the slew."""
+    joints = ElementTree.fromstring(export(crane(), checked(), SPEEDS)).findall("joint")
+    limits = {j.get("name"): j.find("limit").attrib for j in joints}
+    slew, boom, _, extension = checked()
+    for axis, speed in ((slew, 1.0), (boom, 2.0), (extension, 4.0)):
+        limit = limits[f"{axis.joint.name}_joint"]
+        effort = max(axis.push, axis.pull) * axis.levers[1]
+        assert [float(limit[n]) for n in ("effort", "velocity")] == pytest.approx([effort, speed])
+    assert limits["second_joint"] == limits["extension_joint"]
+    assert "lower" not in limits["slew_joint"]
+
+
+XACRO = (
+    ("<robot name", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name'),
+    ("</robot>", '<xacro:include filename="a.xacro"/></robot>'),
+)
+
+
+@pytest.mark.parametrize("changes", [XACRO, [('"200"', '"${mass}"')], [('"0 0 0.5"', '"$(arg place)"')]])
+def test_xacro_is_told_from_a_urdf(tmp_path, changes):
+    """Elements of its name space or expressions: they are to be expanded first."""
+    source, text = tmp_path / "arm.urdf", FOREIGN
+    for change in changes:
+        text = text.replace(*change)
+    source.write_text(text, encoding="utf-8")
+    told = problem(lambda: imported(source, tmp_path / "arm.toml"))
+    assert re.match(rf"{source}: line \d+: \w+: expected a URDF, got xacro; first: xacro {source} >", told)
 
 
 def chain_of(joints):
