@@ -233,26 +233,43 @@ def diagnose(
     if not trace.signals:
         names = first_names(sorted(inputs), 8)
         raise Problem(f"{recording}: no column has the name of an input of {fmu.name}: {names}")
+    return _examined(system, trace, str(recording), parameters, set or {})
+
+
+def over(
+    fmu: Path, time: Array, signals: Mapping[str, Array], set: Mapping[str, float] | None = None
+) -> Diagnosis:
+    """Of signals with the names of the inputs, of shape (n,) each."""
+    return _examined(load(fmu), Trace(np.asarray(time), dict(signals)), "signals", (), set or {})
+
+
+def _examined(
+    system: System, trace: Trace, source: str, parameters: Sequence[Path], set: Mapping[str, float]
+) -> Diagnosis:
+    """Check the readings, and run the FMU over them.
+
+    source   of the readings, for messages
+    """
+    (component,) = system.components.values()
     if len(trace.time) < 2:
-        raise Problem(f"{recording}: expected two or more rows of numbers, got 1")
+        raise Problem(f"{source}: expected two or more rows of numbers, got 1")
     steps = np.diff(trace.time)
     if steps.max(initial=0.0) > LONGEST_GAP and steps.max() > len(steps) * np.median(steps):
         k = int(steps.argmax())
         gap = f"{trace.time[k]:g} s to {trace.time[k + 1]:g} s"
-        raise Problem(f"{recording}: expected readings all the time, got none from {gap}")
-    missing, remarks = _without(component, trace, recording)
+        raise Problem(f"{source}: expected readings all the time, got none from {gap}")
+    missing, remarks = _without(component, trace, source)
     units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
-    remarks += [f"{recording}: {n}: {fault}" for n, fault in rate_faults(trace.time, trace.signals, units)]
+    remarks += [f"{source}: {n}: {fault}" for n, fault in rate_faults(trace.time, trace.signals, units)]
     values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing}
     if (slow := float(np.median(steps)) / STEP) > SLOW:
-        rate = f"{recording}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"
+        rate = f"{source}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"
         if slow > SLOWEST:
             raise Problem(f"{rate}, at least {1 / STEP / SLOWEST:.2g} Hz")
         remarks.insert(0, f"{rate}: sensors, spools and bursts are judged over {slow:.3g} times as long")
         settings = [n for n in COUNTED if n in component.interface.variables]
         values |= {f"{component.name}.{n}": slow * float(component.value(n)) for n in settings}
-    values |= set or {}
-    return _run(system, trace, recording.name, parameters, values, remarks)
+    return _run(system, trace, Path(source).name, parameters, values | dict(set), remarks)
 
 
 def _run(
@@ -294,14 +311,7 @@ def _run(
     return Diagnosis(source, findings, result, [*remarks, *doubts])
 
 
-def over(
-    fmu: Path, time: Array, signals: Mapping[str, Array], set: Mapping[str, float] | None = None
-) -> Diagnosis:
-    """Of signals with the names of the inputs, of shape (n,) each."""
-    return _run(load(fmu), Trace(np.asarray(time), dict(signals)), "signals", (), dict(set or {}), ())
-
-
-def _without(component: Component, trace: Trace, file: Path) -> tuple[list[str], list[str]]:
+def _without(component: Component, trace: Trace, source: str) -> tuple[list[str], list[str]]:
     """Readings that are missing or constant, and lines about them."""
     variables, missing, remarks = component.interface.variables, list[str](), list[str]()
     for name, v in variables.items():
@@ -312,14 +322,14 @@ def _without(component: Component, trace: Trace, file: Path) -> tuple[list[str],
             if fitted and len(trace.time) > 1 and np.ptp(trace.signals[name]) == 0:
                 missing.append(name)
                 value = f"{trace.signals[name][0]:.6g}"
-                remarks.append(f"{file}: {name} is {value} all the time; its sensor counts as missing")
+                remarks.append(f"{source}: {name} is {value} all the time; its sensor counts as missing")
         elif fitted:
             missing.append(name)
-            remarks.append(f"{file}: no column {name}; what needs it is not examined")
+            remarks.append(f"{source}: no column {name}; what needs it is not examined")
         elif name.endswith("_command"):
-            raise Problem(f"{file}: expected the column {name}, got {first_names(trace.signals, 8)}")
+            raise Problem(f"{source}: expected the column {name}, got {first_names(trace.signals, 8)}")
         elif v.unit_name not in (None, "1"):
-            remarks.append(f"{file}: no column {name}; its start value counts")
+            remarks.append(f"{source}: no column {name}; its start value counts")
     return missing, remarks
 
 
