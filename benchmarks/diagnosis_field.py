@@ -46,10 +46,11 @@ FOLDER = Path("build/field")
 PARTS = Path("build/faults")
 STYLES = ("strokes", "slow", "hurried", "tremor", "ends", "one", "slewing", "rest", "loading")
 RESERVED = ("hurried", "one")
-LEARNED, WORK, BROKEN, BEGIN = 180.0, 120.0, 60.0, 20.0  # s
+LEARNED, WORK, BROKEN, BEGIN = 180.0, 90.0, 60.0, 20.0  # s
 EVERY, STEP, LANES = 10, 1e-3, 8  # steps between two points; s; machines at once
 SEEDS, KEPT = range(100, 100 + LANES), range(500, 500 + LANES)  # of machines of each kind; the reserved ones
-LEVERS = tuple(f"{a}_lever" for a in AXES)
+COMMANDS = tuple(f"{a}_command" for a in AXES)
+ROUNDS = 4  # recordings with a fault, another one in each machine
 PART_FAULTS: tuple[tuple[str, float, str], ...] = (  # input, size, repair
     ("boom_head_leak", 40e-6, "boom hose"),
     ("stick_rod_leak", 40e-6, "stick hose"),
@@ -117,7 +118,7 @@ def of_machine(seed: int) -> tuple[dict[str, str], dict[str, float]]:
     return swap, given
 
 
-# style: longest stroke [s], least and largest lever [V], ramp [s], longest pause [s]
+# style: longest stroke [s], least and largest command [V], ramp [s], longest pause [s]
 MANNERS = {
     "strokes": (1.6, 1.5, 5.0, 0.4, 3.0),
     "slow": (6.0, 1.2, 2.5, 1.5, 4.0),
@@ -132,7 +133,7 @@ MANNERS = {
 
 
 def work(style: str, seed: int, stop: float) -> Columns:
-    """Levers [V] and payload [kg] of an operator, every 10 ms."""
+    """Commands [V] and payload [kg] of an operator, every 10 ms."""
     rng = np.random.default_rng((seed, STYLES.index(style), 2))
     time = EVERY * STEP * np.arange(round(stop / (EVERY * STEP)))
     longest, least, most, ramp, pause = MANNERS[style]
@@ -150,7 +151,7 @@ def work(style: str, seed: int, stop: float) -> Columns:
                 stroke += size * shape * np.sin(2 * np.pi * frequency * time)
             lever += stroke
             at, sign = at + length + rng.uniform(0.1 * pause, pause) * (4 if slow else 1), -sign
-        columns[f"{a}_lever"] = np.clip(lever, -10, 10)
+        columns[f"{a}_command"] = np.clip(lever, -10, 10)
     at = rng.uniform(5, 15)
     while style in ("loading", "slewing", "hurried") and at < stop:
         held = rng.uniform(6, 20)
@@ -188,29 +189,31 @@ def _simulate(seeds: range, kind: int, file: Path) -> None:
     place |= {n: "swing" for n in names if n.startswith("swing_pressure")}
     signals = [f"{place[n]}.{n}" for n in names]
     signals += [f"supply.{n}" for n in ("supply_pressure", "tank_pressure", "oil_temperature")]
-    signals += [*(f"controller.{a}_command" for a in AXES), "manipulator.held_mass"]
+    signals += ["manipulator.held_mass"]
     faults = [n for n, *_ in PART_FAULTS]
-    commands = [*LEVERS, "payload_mass", *faults]
-    machines = Machines(PARTS / "harvester_control.ssp", LANES, commands, signals, swap=swap, step=STEP)
+    commands = [*COMMANDS, "payload_mass", *faults]
+    machines = Machines(PARTS / "harvester_actuation.ssp", LANES, commands, signals, swap=swap, step=STEP)
     values = {n: np.array([g[n] for _, g in given]) for n in given[0][1]}
     level = values | {n: 0 * v for n, v in values.items() if n.startswith("manipulator.base_")}
     stored = dict[str, Any]()
     runs = [("learned", "strokes", LEARNED, 1, None)] + [(s, s, WORK, 0, None) for s in STYLES]
-    runs += [(f"broken{j}", "strokes", BROKEN, 0, j) for j in range(len(faults))]
+    runs += [(f"broken{j}", "strokes", BROKEN, 0, j) for j in range(ROUNDS)]
     for recording, style, stop, shift, fault in runs:
         works = [work(style, s + 100_000 * shift, stop) for s in own]
-        tables = np.stack([np.stack([w[n] for n in (*LEVERS, "payload_mass")], 1) for w in works])
+        tables = np.stack([np.stack([w[n] for n in (*COMMANDS, "payload_mass")], 1) for w in works])
         broken = np.zeros((LANES, len(faults)))
         rows = [machines.start(level if recording == "learned" else values)]
         for i in range(tables.shape[1] - 1):
             if fault is not None and i == round(BEGIN / (EVERY * STEP)):
                 for lane in range(LANES):
-                    which = (lane + fault) % len(faults)
+                    which = (2 * fault + lane) % len(faults)
                     broken[lane, which] = PART_FAULTS[which][1]
             rows.append(machines.advance(np.hstack([tables[:, i], broken]), EVERY))
         table = np.stack(rows, 2)  # lanes, signals, points
         for k, n in enumerate(signals):
             stored[f"{recording}/{n.partition('.')[2]}"] = table[:, k].astype(np.float32)
+        for k, n in enumerate(COMMANDS):
+            stored[f"{recording}/{n}"] = tables[:, :, k].astype(np.float32)
         print(f"  kind {kind}, {recording}: {np.isfinite(table).all(axis=(1, 2)).sum()} machines", flush=True)
     machines.close()
     FOLDER.mkdir(parents=True, exist_ok=True)
@@ -249,14 +252,14 @@ def sensed(truth: Columns, seed: int, fault: tuple[str, str, float, str] | None 
     return found
 
 
-def told(columns: Columns, swap: dict[str, str], healthy: dict[str, float]) -> Diagnosis:
+def told(fmu: Path, columns: Columns, swap: dict[str, str], healthy: dict[str, float]) -> Diagnosis:
     """What the FMU tells."""
     own = dict[str, float]()
     if swap.get("boom_stick") == "compensated":
         known = feric(faults=True)
         own = section_flows(known, known.diagnosis)
     signals = {n: v for n, v in columns.items() if n != "time"}
-    return over(PARTS / "diagnosis.fmu", columns["time"], signals, set=own | healthy)
+    return over(fmu, columns["time"], signals, set=own | healthy)
 
 
 def repairs(found: Diagnosis) -> dict[str, tuple[float, str]]:
@@ -276,6 +279,7 @@ def main() -> None:
     parser.add_argument("--reserved", action="store_true", help="the other seeds, and the styles kept back")
     parser.add_argument("--machines", type=int, default=LANES, help="of each kind")
     parser.add_argument("--kinds", type=int, nargs="*", default=range(len(VARIANTS)))
+    parser.add_argument("--fmu", type=Path, default=PARTS / "diagnosis.fmu")
     parser.add_argument("--no-faults", action="store_true")
     parser.add_argument("--verbose", action="store_true")
     given, begin = parser.parse_args(), perf_counter()
@@ -288,11 +292,11 @@ def main() -> None:
         for lane, truth in enumerate(all_truths):
             seed = machine_seeds(seeds, kind)[lane]
             swap, _ = of_machine(seed)
-            healthy = learned_values(told(sensed(truth["learned"], seed), swap, {}))
+            healthy = learned_values(told(given.fmu, sensed(truth["learned"], seed), swap, {}))
             for style in styles:
                 if not np.isfinite(truth[style]["boom_angle"]).all():
                     continue
-                found = told(sensed(truth[style], seed), swap, healthy)
+                found = told(given.fmu, sensed(truth[style], seed), swap, healthy)
                 some = repairs(found)
                 if truth[style]["oil_temperature"].max() > 348:
                     some.pop("cooler", None)
@@ -304,7 +308,7 @@ def main() -> None:
                 payload += weighed(truth[style], found)
             for fault, case, size in [] if given.no_faults else cases(truth, lane):
                 columns = sensed(case, seed, size)
-                some = repairs(told(columns, swap, healthy))
+                some = repairs(told(given.fmu, columns, swap, healthy))
                 late = {n: t for n, (t, _) in some.items() if t >= BEGIN}
                 first = min(late, key=lambda n: late[n]) if late else "nothing"
                 named.setdefault(fault[0], []).append((first, late.get(fault[1], np.inf) - BEGIN))
@@ -327,10 +331,10 @@ def main() -> None:
 def cases(truth: dict[str, Columns], lane: int) -> list[tuple[tuple[str, str], Columns, Any]]:
     """Faults of a machine: name and repair, what happens in it, the fault of a sensor."""
     found = list[tuple[tuple[str, str], Columns, Any]]()
-    for j in range(len(PART_FAULTS)):
+    for j in range(ROUNDS):
         columns = truth[f"broken{j}"]
         if np.isfinite(columns["boom_angle"]).all():
-            name, _, repair = PART_FAULTS[(lane + j) % len(PART_FAULTS)]
+            name, _, repair = PART_FAULTS[(2 * j + lane) % len(PART_FAULTS)]
             found.append(((name, repair), columns, None))
     rows = round(BROKEN / (EVERY * STEP))
     short = {n: v[:rows] for n, v in truth["strokes"].items()}
@@ -342,7 +346,8 @@ def weighed(truth: Columns, found: Diagnosis) -> list[tuple[bool, bool]]:
     """5 s after each change: whether the payload is within its bar, and its interval holds."""
     mass = truth["held_mass"]
     moved = np.flatnonzero(np.abs(np.diff(mass)) > 0.5)
-    rows = [k + 500 for k, after in zip(moved, np.append(moved[1:], len(mass)), strict=True) if after - k > 500]
+    later = [*moved[1:], len(mass)]
+    rows = [k + 500 for k, after in zip(moved, later, strict=False) if after - k > 500]
     at = np.asarray(found.result.time)
     size, off = (np.asarray(found.result[f"payload{end}"]) for end in ("", "_deviation"))
     result = list[tuple[bool, bool]]()

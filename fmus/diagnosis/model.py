@@ -149,7 +149,8 @@ class Diagnosis:
         ):
             counts *= sound * whether(flow > WORKING) / p.window
             rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], memory)
-        load = weight.Load([a for a in axes if not a.axis.turns], x, p)
+        arm, slewing = ([a for a in axes if a.axis.turns == turns] for turns in (False, True))
+        load = weight.Load(arm, x, p, slewing)
         rates |= load.rates() | self.tare.rates(load)
         rates["hot"] = (whether(u.oil_temperature > p.temperature_limit) - x.hot) / QUICK
         return self.states(**rates)
@@ -278,6 +279,13 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
         states[f"{n}_bad"] = Quantity("1", f"1: the reading of {n} is wrong")
     inputs["oil_temperature"] = ports.oil_temperature(
         "Temperature of the oil", optional="the oil stays at 60 degC"
+    )
+    inputs["gap"] = Quantity(
+        "1",
+        "1: there are no readings now, or those before are of another time",
+        minimum=0.0,
+        maximum=1.0,
+        optional="readings come all the time",
     )
     inputs["reset"] = Quantity(
         "1", "1: forget faults", minimum=0.0, maximum=1.0, optional="nothing is forgotten"
