@@ -62,14 +62,14 @@ PART_FAULTS: tuple[tuple[str, float, str], ...] = (  # input, size, repair
     ("swing_spool_stuck", 1.0, "swing valve"),
 )
 SENSOR_FAULTS: tuple[tuple[str, str, float, str], ...] = (  # reading, what it does, size [Pa, rad], repair
-    ("supply_pressure", "off", -40e5, "supply_pressure sensor"),
+    ("supply_pressure", "off", -40e5, "supply pressure sensor"),
     ("boom_head_pressure", "off", 30e5, "pressure sensors"),
-    ("swing_pressure_a", "off", 20e5, "swing_pressure_a sensor"),
-    ("tank_pressure", "off", 5e5, "tank_pressure sensor"),
-    ("boom_angle", "off", np.radians(10), "boom_angle sensor"),
-    ("stick_head_pressure", "stuck", 0.0, "stick_head_pressure sensor"),
-    ("swing_angle", "stuck", 0.0, "swing_angle sensor"),
-    ("boom_rod_pressure", "lost", -150e5, "boom_rod_pressure sensor"),
+    ("swing_pressure_a", "off", 20e5, "swing pressure a sensor"),
+    ("tank_pressure", "off", 5e5, "tank pressure sensor"),
+    ("boom_angle", "off", np.radians(10), "boom angle sensor"),
+    ("stick_head_pressure", "stuck", 0.0, "stick head pressure sensor"),
+    ("swing_angle", "stuck", 0.0, "swing angle sensor"),
+    ("boom_rod_pressure", "lost", -150e5, "boom rod pressure sensor"),
 )
 REPAIRS = {n: f.repair for n, f in findings(ARM, MANIPULATOR).items()}
 
@@ -316,7 +316,8 @@ def main() -> None:
     for style in styles:
         print(f"  {style:10}{alarms[style]:5} in {hours[style]:5.2f} h")
     total = sum(hours.values())
-    print(f"  all       {alarms.total():5} in {total:5.2f} h, {alarms.total() / max(total, 1e-9):.2f} in an hour")
+    rate = alarms.total() / max(total, 1e-9)
+    print(f"  all       {alarms.total():5} in {total:5.2f} h, {rate:.2f} in an hour")
     print("  " + ", ".join(f"{n} {k}" for n, k in by_repair.most_common(20)))
     if payload:
         within, holds = np.mean(payload, axis=0)

@@ -47,8 +47,8 @@ LONG, LONGER = 0.6, 1.5  # s, after which a chamber is at rest, and its arm as w
 class Effort:
     """Of a joint: torque d(V - T)/dq [N.m] of weight and motion, and momentum dT/dq' [N.m.s].
 
-    Of the empty arm, of a kilogram of payload, and of a kilogram more of each of its masses. tilt is the change
-    of the torque of its weight with a turn of the arm in its plane [N.m/rad].
+    Of the empty arm, of a kilogram of payload, and of a kilogram more of each of its masses. tilt is the
+    change of the torque of its weight with a turn of the arm in its plane [N.m/rad].
     """
 
     torque: Scalar
@@ -242,7 +242,9 @@ class Axis:
     def _blind(self, pressure: Scalar) -> Scalar:
         """1: a chamber is empty, its sensor at the end of its range, or a relief valve of the axis open."""
         relieved = whether(ca.fmax(*self.pressures) > RELIEVING * self.p.nominal_supply_pressure)
-        return either(whether(pressure < self.p.zero_limit), whether(pressure > self.p.highest_reading), relieved)
+        return either(
+            whether(pressure < self.p.zero_limit), whether(pressure > self.p.highest_reading), relieved
+        )
 
     @property
     def least_drop(self) -> Scalar:

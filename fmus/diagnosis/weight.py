@@ -1,10 +1,11 @@
 """Payload by all cylinders, by Lagrange's equations with the energies T and V of the arm, behind a lag T_w:
 
-    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F sign(x') + D x') + h H        e = d(V - T)/dq + (p - p_late)/T_w
+    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F sign(x') + D x' + Z) + h H    e = d(V - T)/dq + (p - p_late)/T_w
 
 e_0 of the empty arm, e_m of a kilogram of payload, e_i of a kilogram of mass i of the arm; p = dT/dq', so no
 acceleration is needed. x_q = dx/dq. The tare are the masses d_i that the arm has beyond the known ones, and
-the friction of its cylinders, dry F and viscous D. It is learned without payload. Not near the ends of a
+the friction of its cylinders, dry F and viscous D, with the force Z that the
+zeros of their pressures make. It is learned without payload. Not near the ends of a
 stroke.
 
 H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. A head that swings has
@@ -46,7 +47,7 @@ JUMP = 9.0  # times the mean square: what counts of a larger force, as a payload
 THOUSAND = 1e3  # N, scale of H, and its deviation that is one sample
 END = 0.01  # m, from the end of a stroke
 NEVER = 1e-9  # 1/s, a weight of nothing
-FRICTION = ("dry_friction", "damping")
+FRICTION = ("dry_friction", "damping", "zero_force")
 
 PAYLOAD, WEIGHING = Fit("payload", ("mass",)), Fit("weighing", ("force", "pitch", "roll"))
 TILTED = ("empty", "payload")  # whose torque a slope changes
@@ -79,6 +80,7 @@ def states(axis: ControlledAxis) -> dict[str, Quantity]:
         ("torque", "N.m", "Torque of the cylinder, behind the lag", TORQUE),
         ("late_dry_friction", "m", "Lever with the sign of the speed, behind the lag", 1.0),
         ("late_damping", "m2/s", "Lever times the speed of the piston, behind the lag", 1.0),
+        ("late_zero_force", "m", "Lever of the piston, behind the lag", 1.0),
         ("late_arm", "m", "Lever of a horizontal force at the tip, behind the lag", 1.0),
         ("blocked", "1", "Share of the torque from a time at an end of the stroke", 1.0),
     )
@@ -133,6 +135,7 @@ def start(a: Axis) -> dict[str, Scalar]:
         "torque": a.lever * a.actuator.force(*a.pressures),
         "late_dry_friction": a.lever * speed / ca.sqrt(speed**2 + SLOW**2),
         "late_damping": a.lever * speed,
+        "late_zero_force": a.lever,
         "late_arm": a.radial,
     }
     for n, effort in a.effort.items():
@@ -141,7 +144,7 @@ def start(a: Axis) -> dict[str, Scalar]:
 
 
 def column(a: Axis, name: str) -> Scalar:
-    """Torque behind the lag: of weights and motion, or friction per its size."""
+    """Torque behind the lag: of weights and motion, or of friction and zeros per their sizes."""
     if name in FRICTION:
         return getattr(a, f"late_{name}")
     return (
@@ -323,6 +326,7 @@ class Tare:
         for a in self.cylinders:
             found[f"{a}_dry_friction"] = Finding("N", f"Dry friction of the {a} cylinder", 30.0, "tare")
             found[f"{a}_damping"] = Finding("N.s/m", f"Viscous friction of the {a} cylinder", DAMPING, "tare")
+            found[f"{a}_zero_force"] = Finding("N", f"Force by zeros of the {a} pressures", FORCE, "tare")
         return found
 
     @property
@@ -338,7 +342,7 @@ class Tare:
 
     @property
     def _scales(self) -> list[float]:
-        return [HUNDRED] * len(self.masses) + [FORCE, DAMPING] * len(self.cylinders)
+        return [HUNDRED] * len(self.masses) + [FORCE, DAMPING, FORCE] * len(self.cylinders)
 
     def rates(self, load: Load) -> dict[str, Scalar]:
         """Of the sums; an equation of each cylinder."""
@@ -357,7 +361,7 @@ class Tare:
         """Sizes; not known before some samples."""
         deviations = [
             *(max(0.1 * m, 1.0) for m in self.known),
-            *[2 * FORCE, 3 * DAMPING] * len(self.cylinders),
+            *[2 * FORCE, 3 * DAMPING, 3 * FORCE] * len(self.cylinders),
         ]
         prior = Prior(
             [d / s for d, s in zip(deviations, self._scales, strict=True)],

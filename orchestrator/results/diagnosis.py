@@ -16,7 +16,7 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, require, tell_once
 from orchestrator.base.text import DisplayUnit, TextTable, first_names, number
-from orchestrator.data.corrections import rate_faults
+from orchestrator.data.corrections import hold_of, is_new, rate_faults
 from orchestrator.data.description import description_next_to
 from orchestrator.data.recording import read_recording
 from orchestrator.data.table import READABLE, Array
@@ -35,10 +35,16 @@ LONGEST_GAP = 3600.0  # s, in which a machine may be off; a longer one is longer
 ROWS = 100_000  # of the findings at most, 0.3 s apart over a day of 8 h: a hundred outputs fit into memory
 INTERVAL = 1.96  # deviations of a 95 % interval
 SLOW, SLOWEST = 1.2, 10.5  # steps of a log from which faults are told later; from which none is certain
+ENOUGH = 180.0  # s of readings, from which nothing found means something
+GAP, LATE = 0.25, 5.0  # s and steps between two readings: from both on it is a gap
+FASTEST, OFF = 3.0, 0.02  # rad/s and rad, m/s and m: what moves more between two readings was spliced
+SPIKE = 20.0  # times the usual changes of a reading, by which a single one is no reading
+BEYOND = 1.5  # times the full command of a valve
 # settings for readings of each step
 COUNTED = ("still_time", "still_motion", "response_time", "burst_volume", "delay_limit")
 KNOWN = 100.0  # a deviation of the prior over one from which a size can be learned that is never told
 FITTED, REFERENCE = "_fitted", "_reference"
+COLDEST = 200.0  # K
 LITRE = 1 / 6e4  # L/min in m3/s
 # unit -> factor and unit for a reader, of quantities whose usual one is another
 SHOWN = {
@@ -48,6 +54,7 @@ SHOWN = {
     "Pa.s/m3": (1e-5 * 200 * LITRE, "bar at 200 L/min"),
     "s": (1e3, "ms"),
 }
+READ_ONLY = (" sensor", "cooler", "tare")  # ends of repairs that one reading alone tells
 TEMPLATE = Path(__file__).with_name("templates") / "diagnosis.html.j2"
 
 
@@ -102,6 +109,11 @@ class Finding:
         display = DisplayUnit(self.unit, {"Pa": "bar"}.get(self.unit, self.unit))
         return display.factor, display.name
 
+    def usual(self) -> str:
+        """The size of the healthy machine, of what has a size."""
+        factor, unit = self.shown
+        return f"{number(factor * self.healthy)} {unit}".removesuffix(" 1") if self.deviation.any() else ""
+
     def extent(self) -> str:
         """The size with its 95 % interval, where it was told last."""
         factor, unit = self.shown
@@ -123,8 +135,15 @@ class Diagnosis:
 
     @property
     def broken(self) -> list[Finding]:
-        """The faults, in the order of their certainty."""
-        return sorted((f for f in self.findings if f.broken), key=lambda f: (-f.certainty, f.since))
+        """The faults, in the order of their certainty.
+
+        What may be healthy by its own interval is one only if nothing else tells the same repair; then it
+        is the most certain such finding, which is judged together with others.
+        """
+        told = sorted((f for f in self.findings if f.broken), key=lambda f: (-f.certainty, f.since))
+        certain = {f.repair for f in told if not f.may_be_healthy}
+        kept = {f.repair: f for f in reversed(told) if f.repair not in certain}
+        return [f for f in told if not f.may_be_healthy or kept.get(f.repair) is f]
 
     @property
     def blind(self) -> dict[str, list[Finding]]:
@@ -147,33 +166,41 @@ class Diagnosis:
         return found
 
     @property
+    def lacking(self) -> str:
+        """Why it is not known whether the machine is healthy if nothing was found; empty if it is."""
+        sound, blind = ([n for n in of if not n.endswith(READ_ONLY)] for of in (self.sound, self.blind))
+        if len(sound) < len(blind) or not sound:
+            return f"only {len(sound)} of {len(sound) + len(blind)} parts beyond sensors can be judged"
+        length = float(self.findings[0].time[-1] - self.findings[0].time[0])
+        return f"only {length:.3g} s of readings, expected {ENOUGH:g} s" if length < ENOUGH - 1 else ""
+
+    @property
     def is_known(self) -> bool:
-        """Whether a fault was told, or at least half of the parts can be judged at the end."""
-        return bool(self.broken) or len(self.sound) >= len(self.blind)
+        """Whether a fault was told, or enough was seen to say that there is none."""
+        return bool(self.broken) or not self.lacking
 
     @property
     def verdict(self) -> str:
         """What was found, in words."""
         if self.broken:
             unsure = [f.text for f in self.broken if f.may_be_healthy]
-            together = "; each of these may be healthy alone, but not all: " if unsure else ""
-            return f"{len(self.broken)} found, the most certain first{together}{'; '.join(unsure)}"
-        count = f"{len(self.sound)} of {len(self.sound) + len(self.blind)} parts can be judged"
-        return "nothing found" if self.is_known else f"not known whether it is healthy: only {count}"
+            together = "; by its own interval it may be healthy, but not with the others of its part: "
+            told = f"{len(self.broken)} found, the most certain first"
+            return f"{told}{together if unsure else ''}{'; '.join(unsure)}"
+        return f"not known whether it is healthy: {self.lacking}" if self.lacking else "nothing found"
 
     def table(self) -> TextTable:
         """The faults."""
-        rows = [[f.text, f.extent(), f"{f.since:.2f}", f.repair] for f in self.broken]
-        return TextTable(("fault", "size (95 % interval)", "told at [s]", "look at"), rows, left=(0, 1, 3))
+        rows = [[f.text, f.extent(), f.usual(), f"{f.since:.2f}", f.repair] for f in self.broken]
+        head = ("fault", "size (95 % interval)", "healthy", "told at [s]", "look at")
+        return TextTable(head, rows, left=(0, 1, 2, 4))
 
     def text(self) -> str:
-        """For a terminal."""
-        lines = list(self.remarks)
-        lines += self.table().lines() if self.broken else []
-        lines.append(f"{self.source}: {self.verdict}")
-        if self.blind:
-            lines.append(f"Cannot be told at the end: {', '.join(self.blind)}")
-        return "\n".join(lines)
+        """For a terminal; of a machine without a fault, what was not examined comes first."""
+        blind = [f"Cannot be told at the end: {', '.join(self.blind)}"] if self.blind else []
+        verdict = [f"{self.source}: {self.verdict}"]
+        told = [*self.table().lines(), *verdict, *blind] if self.broken else [*blind, *verdict]
+        return "\n".join([*self.remarks, *told])
 
 
 def readings(file: Path) -> Trace:
@@ -258,18 +285,87 @@ def _examined(
         k = int(steps.argmax())
         gap = f"{trace.time[k]:g} s to {trace.time[k + 1]:g} s"
         raise Problem(f"{source}: expected readings all the time, got none from {gap}")
-    missing, remarks = _without(component, trace, source)
+    _refuse_units(component, trace, source)
+    trace, period, remarks = _usable(component, trace, source)
+    missing, more = _without(component, trace, source)
     units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
+    remarks += more
     remarks += [f"{source}: {n}: {fault}" for n, fault in rate_faults(trace.time, trace.signals, units)]
     values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing}
-    if (slow := float(np.median(steps)) / STEP) > SLOW:
+    if (slow := period / STEP) > SLOW:
         rate = f"{source}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"
         if slow > SLOWEST:
             raise Problem(f"{rate}, at least {1 / STEP / SLOWEST:.2g} Hz")
         remarks.insert(0, f"{rate}: sensors, spools and bursts are judged over {slow:.3g} times as long")
         settings = [n for n in COUNTED if n in component.interface.variables]
         values |= {f"{component.name}.{n}": slow * float(component.value(n)) for n in settings}
+    for kind, unit in (("pressure", "Pa"), ("angle", "rad")):
+        if (name := f"{kind}_resolution") in component.interface.variables:
+            steps_of = [
+                _resolution(v) for n, v in trace.signals.items() if units[n] == unit and n not in missing
+            ]
+            values[f"{component.name}.{name}"] = max([float(component.value(name)), *steps_of])
     return _run(system, trace, Path(source).name, parameters, values | dict(set), remarks)
+
+
+def _resolution(values: Array) -> float:
+    """Usual distance of neighbouring values of a reading."""
+    levels = np.unique(values)
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-6 * max(np.ptp(levels), 1e-300)]
+    return float(np.quantile(steps, 0.25)) if len(steps) > 1 else 0.0
+
+
+def _refuse_units(component: Component, trace: Trace, source: str) -> None:
+    """Raise Problem if a reading cannot have the unit of its input."""
+    variables = component.interface.variables
+    for name, values in trace.signals.items():
+        unit, size = variables[name].unit_name or "1", float(np.abs(values).max())
+        full = [float(component.value(n)) for n in variables if n.endswith("valve_full_command")]
+        if unit == "K" and values.min() < COLDEST:
+            raise Problem(f"{source}: {name}: expected K, got {values.min():.4g} K; did you mean degC?")
+        if name.endswith("_command") and full and size > BEYOND * max(full):
+            text = f"expected at most {max(full):g} {unit}, got {size:.4g} {unit}"
+            raise Problem(f"{source}: {name}: {text}; did you mean % or mV?")
+
+
+def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, float, list[str]]:
+    """The readings without holds and single wrong ones, marked where they were interrupted; lines about it.
+
+    The second value is the time between two of them [s], of the slowest.
+    """
+    variables, remarks, signals = component.interface.variables, list[str](), dict(trace.signals)
+    held = 1.0
+    steps, jumps = np.diff(trace.time), np.zeros(len(trace.time) - 1)
+    for name, values in trace.signals.items():
+        if name.endswith("_command") or not np.ptp(values):
+            continue
+        if (rows_held := hold_of(values)) > 1:
+            held, new = max(held, rows_held), is_new(values, trace.time)
+            values = signals[name] = np.interp(trace.time, trace.time[new], values[new])
+        before, after = np.diff(values)[:-1], np.diff(values)[1:]
+        usual = np.quantile(np.abs(np.diff(values)), 0.99) + _resolution(values)
+        spikes = np.minimum(np.abs(before), np.abs(after)) > SPIKE * usual
+        spikes &= np.abs(before + after) < 0.2 * np.abs(before)
+        if rows := [int(k) for k in np.flatnonzero(spikes) + 1]:
+            signals[name] = values.copy()
+            signals[name][rows] = values[[k - 1 for k in rows]]
+            remarks.append(
+                f"{source}: {name}: {len(rows)} single readings far from both neighbours are left out"
+            )
+        if variables[name].unit_name in ("rad", "m"):
+            jumps += np.abs(np.diff(signals[name])) > FASTEST * steps + OFF
+    gaps, splices = (steps > GAP) & (steps > LATE * np.median(steps)), jumps > 1
+    if gaps.any():
+        what = f"{int(gaps.sum())} gaps of readings, the longest of {steps.max():.3g} s"
+        remarks.append(f"{source}: {what}; nothing is judged in them")
+    if splices.any():
+        at = f"{trace.time[int(splices.argmax()) + 1]:.6g} s"
+        remarks.append(f"{source}: all angles jump at {at}: two recordings? Nothing is judged over the jump")
+    if "gap" in variables and (gaps | splices).any():
+        off = gaps | splices
+        signals["gap"] = 1.0 * (np.append(off, False) | np.insert(off, 0, False))
+    return Trace(trace.time, signals, trace.units), held * float(np.median(steps)), remarks
 
 
 def _run(
@@ -308,6 +404,10 @@ def _run(
         healthy = float(component.value(reference)) if reference in variables else 0.0
         findings.append(Finding(*one, time, size, off, state, healthy))
     doubts = [w for w in result.system.warnings if "did you mean" in w]
+    valves = {f.repair for f in findings if "_gain_" in f.name}
+    if len(valves) > 1 and valves <= {f.repair for f in findings if f.broken}:
+        text = "the valves of all functions differ from those of the healthy machine"
+        doubts.append(f"{source}: {text}; is it a recording of another one? --learn makes the values of each")
     return Diagnosis(source, findings, result, [*remarks, *doubts])
 
 
