@@ -46,7 +46,7 @@ FOLDER = Path("build/field")
 PARTS = Path("build/faults")
 STYLES = ("strokes", "slow", "hurried", "tremor", "ends", "one", "slewing", "rest", "loading")
 RESERVED = ("hurried", "one")
-LEARNED, WORK, BROKEN, BEGIN = 180.0, 90.0, 60.0, 20.0  # s
+LEARNED, WORK, BROKEN, BEGIN = 180.0, 60.0, 50.0, 15.0  # s
 EVERY, STEP, LANES = 10, 1e-3, 8  # steps between two points; s; machines at once
 SEEDS, KEPT = range(100, 100 + LANES), range(500, 500 + LANES)  # of machines of each kind; the reserved ones
 COMMANDS = tuple(f"{a}_command" for a in AXES)
@@ -191,7 +191,7 @@ def _simulate(seeds: range, kind: int, file: Path) -> None:
     signals += [f"supply.{n}" for n in ("supply_pressure", "tank_pressure", "oil_temperature")]
     signals += ["manipulator.held_mass"]
     faults = [n for n, *_ in PART_FAULTS]
-    commands = [*COMMANDS, "payload_mass", *faults]
+    commands = [*(f"valve_actuation.{n}" for n in COMMANDS), "payload_mass", *faults]
     machines = Machines(PARTS / "harvester_actuation.ssp", LANES, commands, signals, swap=swap, step=STEP)
     values = {n: np.array([g[n] for _, g in given]) for n in given[0][1]}
     level = values | {n: 0 * v for n, v in values.items() if n.startswith("manipulator.base_")}
@@ -225,7 +225,7 @@ def sensed(truth: Columns, seed: int, fault: tuple[str, str, float, str] | None 
     rng = np.random.default_rng((seed, 3))
     rate, delay = float(rng.choice((100, 50, 50, 20))), rng.uniform(5e-3, 20e-3)
     bar, degree = float(rng.choice((0.1, 0.5, 1.0))) * 1e5, np.radians(rng.choice((0.01, 0.05, 0.1)))
-    zeros = {n: rng.uniform(-3e5, 3e5) for n in (*PRESSURES, "supply_pressure")}
+    zeros = {n: rng.uniform(-3e5, 3e5) for n in (*PRESSURES, "supply_pressure", "tank_pressure")}
     noise = np.random.default_rng((seed, 4))
     rows = len(truth["boom_angle"])
     clock = EVERY * STEP * np.arange(rows)

@@ -45,6 +45,7 @@ COUNTED = ("still_time", "still_motion", "response_time", "burst_volume", "delay
 KNOWN = 100.0  # a deviation of the prior over one from which a size can be learned that is never told
 FITTED, REFERENCE = "_fitted", "_reference"
 COLDEST = 200.0  # K
+EVEN = 1e6  # Pa, below which a return line without a resistance has one pressure
 LITRE = 1 / 6e4  # L/min in m3/s
 # unit -> factor and unit for a reader, of quantities whose usual one is another
 SHOWN = {
@@ -168,11 +169,15 @@ class Diagnosis:
     @property
     def lacking(self) -> str:
         """Why it is not known whether the machine is healthy if nothing was found; empty if it is."""
-        sound, blind = ([n for n in of if not n.endswith(READ_ONLY)] for of in (self.sound, self.blind))
-        if len(sound) < len(blind) or not sound:
-            return f"only {len(sound)} of {len(sound) + len(blind)} parts beyond sensors can be judged"
         length = float(self.findings[0].time[-1] - self.findings[0].time[0])
-        return f"only {length:.3g} s of readings, expected {ENOUGH:g} s" if length < ENOUGH - 1 else ""
+        if length < ENOUGH - 1:
+            return f"only {length:.3g} s of readings, expected {ENOUGH:g} s"
+        sound, all_of = len(self.sound), len(self.sound) + len(self.blind)
+        if 2 * sound < all_of:
+            return f"only {sound} of {all_of} parts can be judged"
+        return (
+            "" if any(not n.endswith(READ_ONLY) for n in self.sound) else "nothing but sensors can be judged"
+        )
 
     @property
     def is_known(self) -> bool:
@@ -286,6 +291,7 @@ def _examined(
         gap = f"{trace.time[k]:g} s to {trace.time[k + 1]:g} s"
         raise Problem(f"{source}: expected readings all the time, got none from {gap}")
     _refuse_units(component, trace, source)
+    resolutions = {n: _resolution(v) for n, v in trace.signals.items()}
     trace, period, remarks = _usable(component, trace, source)
     missing, more = _without(component, trace, source)
     units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
@@ -301,19 +307,20 @@ def _examined(
         values |= {f"{component.name}.{n}": slow * float(component.value(n)) for n in settings}
     for kind, unit in (("pressure", "Pa"), ("angle", "rad")):
         if (name := f"{kind}_resolution") in component.interface.variables:
-            steps_of = [
-                _resolution(v) for n, v in trace.signals.items() if units[n] == unit and n not in missing
-            ]
-            values[f"{component.name}.{name}"] = max([float(component.value(name)), *steps_of])
+            own = [r for n, r in resolutions.items() if units[n] == unit]
+            values[f"{component.name}.{name}"] = max([float(component.value(name)), *own])
     return _run(system, trace, Path(source).name, parameters, values | dict(set), remarks)
 
 
 def _resolution(values: Array) -> float:
-    """Usual distance of neighbouring values of a reading."""
-    levels = np.unique(values)
-    steps = np.diff(levels)
-    steps = steps[steps > 1e-6 * max(np.ptp(levels), 1e-300)]
-    return float(np.quantile(steps, 0.25)) if len(steps) > 1 else 0.0
+    """Step of a reading that was rounded; 0 of one that was not."""
+    steps = np.diff(np.unique(values))
+    steps = steps[steps > 1e-6 * max(np.ptp(values), 1e-300)]
+    if len(steps) < 2:
+        return 0.0
+    step = float(np.quantile(steps, 0.02))
+    off = (values - values[0]) / step
+    return step if (np.abs(off - np.round(off)) < 0.05).mean() > 0.95 else 0.0
 
 
 def _refuse_units(component: Component, trace: Trace, source: str) -> None:
@@ -344,8 +351,8 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
             held, new = max(held, rows_held), is_new(values, trace.time)
             values = signals[name] = np.interp(trace.time, trace.time[new], values[new])
         before, after = np.diff(values)[:-1], np.diff(values)[1:]
-        usual = np.quantile(np.abs(np.diff(values)), 0.99) + _resolution(values)
-        spikes = np.minimum(np.abs(before), np.abs(after)) > SPIKE * usual
+        usual = float(np.quantile(np.abs(np.diff(values)), 0.95))
+        spikes = np.minimum(np.abs(before), np.abs(after)) > max(SPIKE * usual, 0.2 * np.ptp(values))
         spikes &= np.abs(before + after) < 0.2 * np.abs(before)
         if rows := [int(k) for k in np.flatnonzero(spikes) + 1]:
             signals[name] = values.copy()
@@ -419,7 +426,8 @@ def _without(component: Component, trace: Trace, source: str) -> tuple[list[str]
             continue
         fitted = f"{name}{FITTED}" in variables
         if name in trace.signals:
-            if fitted and len(trace.time) > 1 and np.ptp(trace.signals[name]) == 0:
+            even = name == "tank_pressure" and abs(trace.signals[name][0]) < EVEN
+            if fitted and len(trace.time) > 1 and np.ptp(trace.signals[name]) == 0 and not even:
                 missing.append(name)
                 value = f"{trace.signals[name][0]:.6g}"
                 remarks.append(f"{source}: {name} is {value} all the time; its sensor counts as missing")
