@@ -309,7 +309,7 @@ def main() -> None:
             for fault, case, size in [] if given.no_faults else cases(truth, lane):
                 columns = sensed(case, seed, size)
                 some = repairs(told(given.fmu, columns, swap, healthy))
-                late = {n: t for n, (t, _) in some.items() if t >= BEGIN}
+                late = {n: t for n, (t, _) in some.items() if t >= BEGIN - 0.1}
                 first = min(late, key=lambda n: late[n]) if late else "nothing"
                 named.setdefault(fault[0], []).append((first, late.get(fault[1], np.inf) - BEGIN))
     print(f"\nalarms without a fault, {'reserved' if given.reserved else 'open'} seeds from {seeds[0]}")

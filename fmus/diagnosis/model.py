@@ -36,6 +36,7 @@ from fmus.diagnosis.estimates import (
     Prior,
     Solution,
     Told,
+    counted,
     either,
     judged,
     latched,
@@ -54,6 +55,7 @@ FLOW, BAR = 100 * LITRE, 1e5  # scales of the lines
 PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
 SUPPLY_OFF = 5e5  # Pa, from which a supply pressure is another one
+COMPARED = 30.0  # s, in which valves show whether it is that of a wrong sensor
 DELAY_OFF, AIR_OFF = 1e-6, 3e-3  # s, 1: what the lag of a valve or the air of a function is off
 RETURN, PUMP = Fit("return", ("flow", "one")), Fit("pump", ("flow", "one"))
 ALONE = {
@@ -159,6 +161,7 @@ class Diagnosis:
             rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], memory)
         arm, slewing = ([a for a in axes if a.axis.turns == turns] for turns in (False, True))
         load = weight.Load(arm, x, p, slewing)
+        rates["supply_other"] = counted(x.supply_other, self._other_supply(x, p))
         rates |= load.rates() | self.tare.rates(load)
         rates["hot"] = (whether(u.oil_temperature > p.temperature_limit) - x.hot) / QUICK
         return self.states(**rates)
@@ -194,19 +197,26 @@ class Diagnosis:
         told = whether(fitted.samples > 3 * FEWEST) * whether(known > 0)  # 0: no healthy machine was measured
         return size, off, judged(known - size, off, p.pump_limit, told)
 
+    def _other_supply(self, x: Any, p: Any) -> Scalar:
+        """1: the supply pressure is not the one of before, nor of the healthy machine."""
+        known, fitted = number("pump_pressure", p), _of_pump(x, p)
+        usual, _ = fitted.along(x.late_inward / FLOW, 1)
+        mean, _ = fitted.along(PUMP_FLOW / FLOW, 1)
+        off = ca.fmax(ca.fabs(x.late_supply - BAR * usual), ca.fabs(BAR * mean - known))
+        return whether(off > SUPPLY_OFF) * whether(known > 0) * whether(fitted.samples > FEWEST)
+
     def _supply(self, told: dict[str, Told], x: Any, p: Any) -> None:
         """A supply pressure that is another one, by which several valves seem to be others, is wrong.
 
-        As long as it is not, the maps of valves are not told, and of a wrong one neither is the pump.
+        As long as it is another one the maps of valves are not told. The pump is, but not at once: until then
+        strokes have shown whether valves seem to be others.
         """
-        known, fitted = number("pump_pressure", p), _of_pump(x, p)
-        usual, _ = fitted.along(x.late_inward / FLOW, 1)
-        off = ca.fmax(ca.fabs(x.late_supply - BAR * usual), ca.fabs(told["pump_pressure"][0] - known))
-        other = whether(off > SUPPLY_OFF) * whether(known > 0) * whether(fitted.samples > FEWEST)
+        other = whether(x.supply_other > 0)
         maps = {a.name: [f"{a.name}_{n}" for n in OF_VALVE[:4]] for a in self.arm.axes}
         count = sum(either(*(whether(told[n][2] > 0) for n in names)) for names in maps.values())
         wrong = other * whether(count > 1)
-        hidden = {n: other for names in maps.values() for n in names} | {"pump_pressure": wrong}
+        hidden = {n: other for names in maps.values() for n in names}
+        hidden["pump_pressure"] = either(wrong, other * whether(x.supply_other < COMPARED))
         for n, hides in hidden.items():
             size, deviation, state = told[n]
             told[n] = size, deviation, ca.if_else(hides > 0, -1, state)
@@ -327,6 +337,7 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
             unit, f"{text}, behind the slow lag", {"Pa": 1e7, "m3/s": 1e-3}.get(unit, 1.0)
         )
     states |= weight.Load.states()
+    states["supply_other"] = Quantity("s", "Time for which the supply pressure is another one than before")
     states["hot"] = Quantity("1", "1: the oil is hotter than its limit")
     states |= {
         n: Quantity("1", f"Sum of normal equations: {n}")

@@ -45,6 +45,7 @@ FOLLOWED = 20.0  # s, in which the mean square of H follows
 STEADY, SWINGING = 30.0, 300.0  # N, root of that mean square: at least, and at the start
 JUMP = 9.0  # times the mean square: what counts of a larger force, as a payload that changes seems to be one
 THOUSAND = 1e3  # N, scale of H, and its deviation that is one sample
+STROKE = 3.0  # lags, for which an error of the force lasts
 END = 0.01  # m, from the end of a stroke
 NEVER = 1e-9  # 1/s, a weight of nothing
 FRICTION = ("dry_friction", "damping", "zero_force")
@@ -259,7 +260,7 @@ class Load:
         square = ca.fmin(force**2, JUMP * ca.fmax(x.horizontal_square, STEADY**2))
         found["horizontal_square"] = several * (square - x.horizontal_square) / FOLLOWED
         variance = NOISE**2 / length + (by_payload * off) ** 2
-        weight = several / (1 + variance / THOUSAND**2) / lag
+        weight = several / (1 + variance / THOUSAND**2) / (STROKE * lag)
         by_tilt = (a.empty_tilt + HUNDRED * size * a.payload_tilt for a in self.axes)
         share = sum(h * t for h, t in zip(levers, by_tilt, strict=True)) / length / THOUSAND
         columns = [1, *(share * c for c in along)]
