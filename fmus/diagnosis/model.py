@@ -174,7 +174,7 @@ class Diagnosis:
         told |= {f"{n}_sensor": shown(getattr(x, f"{n}_bad"), getattr(p, f"{n}_fitted")) for n in LINES}
         told["return_resistance"] = self._return(x, p)
         told["pump_pressure"] = self._pump(x, p)
-        self._supply(told, x, p)
+        self._supply(told, x)
         told["valve_delay"], told["oil_air"] = self._delay(told, axes, p), self._air(told, p)
         told["oil_temperature_high"] = shown(x.hot)
         load = weight.Load((), x, p)
@@ -205,7 +205,7 @@ class Diagnosis:
         off = ca.fmax(ca.fabs(x.late_supply - BAR * usual), ca.fabs(BAR * mean - known))
         return whether(off > SUPPLY_OFF) * whether(known > 0) * whether(fitted.samples > FEWEST)
 
-    def _supply(self, told: dict[str, Told], x: Any, p: Any) -> None:
+    def _supply(self, told: dict[str, Told], x: Any) -> None:
         """A supply pressure that is another one, by which several valves seem to be others, is wrong.
 
         As long as it is another one the maps of valves are not told. The pump is, but not at once: until then

@@ -167,11 +167,16 @@ class Diagnosis:
         return found
 
     @property
+    def shortness(self) -> str:
+        """That the recording is too short to learn a machine or to call it healthy; empty if it is not."""
+        length = float(self.findings[0].time[-1] - self.findings[0].time[0])
+        return f"only {length:.3g} s of readings, expected {ENOUGH:g} s" if length < ENOUGH - 1 else ""
+
+    @property
     def lacking(self) -> str:
         """Why it is not known whether the machine is healthy if nothing was found; empty if it is."""
-        length = float(self.findings[0].time[-1] - self.findings[0].time[0])
-        if length < ENOUGH - 1:
-            return f"only {length:.3g} s of readings, expected {ENOUGH:g} s"
+        if self.shortness:
+            return self.shortness
         sound, all_of = len(self.sound), len(self.sound) + len(self.blind)
         if 2 * sound < all_of:
             return f"only {sound} of {all_of} parts can be judged"
