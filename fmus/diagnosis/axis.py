@@ -189,11 +189,10 @@ class Axis:
     @property
     def outside(self) -> list[Scalar]:
         """1: a reading is out of its range; a coordinate, which may count turns, jumps."""
-        p = self.p
-        far = [
-            whether(ca.fabs(self.behind(0)) > p.largest_jump),
-            whether(ca.fabs(self.reading(1)) > p.largest_speed),
-        ]
+        p, fast = self.p, whether(ca.fabs(self.reading(1)) > self.p.largest_speed)
+        known = getattr(p, f"{self.axis.speed[0]}_fitted") * (1 - fast)
+        moved = self.behind(0) - known * p.lag * self.reading(1)
+        far = [whether(ca.fabs(moved) > p.largest_jump), fast]
         return far + [outside(v, p) for v in self.pressures]
 
     @property
