@@ -354,7 +354,8 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
             continue
         if (rows_held := hold_of(values)) > 1:
             held, new = max(held, rows_held), is_new(values, trace.time)
-            values = signals[name] = np.interp(trace.time, trace.time[new], values[new])
+            values = np.asarray(np.interp(trace.time, trace.time[new], values[new]), np.float64)
+            signals[name] = values
         before, after = np.diff(values)[:-1], np.diff(values)[1:]
         usual = float(np.quantile(np.abs(np.diff(values)), 0.95))
         spikes = np.minimum(np.abs(before), np.abs(after)) > max(SPIKE * usual, 0.2 * np.ptp(values))
