@@ -144,7 +144,9 @@ def test_a_payload_is_weighed_beyond_the_tare(faulty, work):
     known = values(MANIPULATOR).p
     truth = {f"{n}_off": m - known[n] for n, m in true.items()}
     truth |= {f"{n}_damping": known[f"{n}_piston_damping"] for n in ("boom", "stick")}
-    truth |= dict.fromkeys(("boom_dry_friction", "stick_dry_friction"), 0.0)
+    truth |= dict.fromkeys(
+        (f"{a}_{n}" for a in ("boom", "stick") for n in ("dry_friction", "zero_force")), 0.0
+    )
     _, result = told(faulty, work, **given)
     for n, size in truth.items():
         deviation = float(result[f"diagnosis.{n}_deviation"][-1])
