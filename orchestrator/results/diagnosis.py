@@ -377,7 +377,7 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
         remarks.append(f"{source}: all angles jump at {at}: two recordings? Nothing is judged over the jump")
     if "gap" in variables and (gaps | splices).any():
         off = gaps | splices
-        signals["gap"] = 1.0 * (np.append(off, False) | np.insert(off, 0, False))
+        signals["gap"] = (np.append(off, False) | np.insert(off, 0, False)).astype(np.float64)
     return Trace(trace.time, signals, trace.units), held * float(np.median(steps)), remarks
 
 
@@ -416,7 +416,7 @@ def _run(
         reference = f"{one[0]}{REFERENCE}"
         healthy = float(component.value(reference)) if reference in variables else 0.0
         findings.append(Finding(*one, time, size, off, state, healthy))
-    doubts = [w for w in result.system.warnings if "did you mean" in w]
+    doubts = [w for w in result.system.warnings if "did you mean" in w and REFERENCE not in w]
     valves = {f.repair for f in findings if "_gain_" in f.name}
     if len(valves) > 1 and valves <= {f.repair for f in findings if f.broken}:
         text = "the valves of all functions differ from those of the healthy machine"
