@@ -56,8 +56,8 @@ def test_a_fault_is_named(faulty, work, fault, size, named, within):
 
     Strokes come every 6 to 8 s: a burst hose of a side without load, a stuck spool or angle shows in the next
     one, a leak at rests, of which the head of the stick has few with more than 10 bar. With 15 % of
-    hysteresis a valve does not close any more. A rod side with 3 bar or less may be empty, with a zero that is
-    off, so its burst takes longer; a wrong pressure is one after a few slews, which could be a slope else.
+    hysteresis a valve does not close any more. A rod side at 3 bar may be empty, with a zero that is off, so
+    its burst takes longer; a wrong pressure is told after a few slews: it could be a slope.
     """
     found, _ = told(faulty, work, fault, size=size)
     first = min(found.values())
