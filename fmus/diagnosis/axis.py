@@ -34,7 +34,6 @@ from fmus.smooth import positive
 
 PRESSURE = 1e7  # Pa, scale of pressures in the normal equations
 SMALL = 1e4  # Pa, over which the root of a pressure is rounded
-EMPTY = 0.0  # Pa, below which a chamber may be empty: at -1 bar, with a zero that is off
 FILLED = 2e5  # Pa above the return line, in a chamber that oil flows into
 RELIEVING = 1.1  # times the supply pressure: a relief valve of a chamber is open
 RELIEVED = 0.15  # of the supply pressure, by which a counterbalance valve may open below it
@@ -48,11 +47,13 @@ LONG, LONGER = 0.6, 1.5  # s, after which a chamber is at rest, and its arm as w
 class Effort:
     """Of a joint: torque d(V - T)/dq [N.m] of weight and motion, and momentum dT/dq' [N.m.s].
 
-    Of the empty arm, of a kilogram of payload, and of a kilogram more of each of its masses.
+    Of the empty arm, of a kilogram of payload, and of a kilogram more of each of its masses. tilt is the
+    change of the torque of its weight with a turn of the arm in its plane [N.m/rad].
     """
 
     torque: Scalar
     momentum: Scalar
+    tilt: Scalar = 0
 
 
 Efforts = Mapping[str, Effort]  # by "empty", "payload", names of masses
@@ -172,6 +173,11 @@ class Axis:
         """Head, rod [Pa]."""
         return self.reading(2), self.reading(3)
 
+    @property
+    def connected(self) -> Scalar:
+        """1: there is a reading now, 0: in a gap of them."""
+        return 1 - whether(self.u.gap > 0)
+
     def behind(self, k: int) -> Scalar:
         """Distance of a reading from its lag."""
         return self.reading(k) - getattr(self, f"late_{k}")
@@ -183,11 +189,10 @@ class Axis:
     @property
     def outside(self) -> list[Scalar]:
         """1: a reading is out of its range; a coordinate, which may count turns, jumps."""
-        p = self.p
-        far = [
-            whether(ca.fabs(self.behind(0)) > p.largest_jump),
-            whether(ca.fabs(self.reading(1)) > p.largest_speed),
-        ]
+        p, fast = self.p, whether(ca.fabs(self.reading(1)) > self.p.largest_speed)
+        known = getattr(p, f"{self.axis.speed[0]}_fitted") * (1 - fast)
+        moved = self.behind(0) - known * p.lag * self.reading(1)
+        far = [whether(ca.fabs(moved) > p.largest_jump), fast]
         return far + [outside(v, p) for v in self.pressures]
 
     @property
@@ -202,7 +207,7 @@ class Axis:
     def sound(self) -> Scalar:
         """1: coordinate, pressures and lines are usable."""
         angle, _, head, rod = self.faulty
-        return self.lines * (1 - either(angle, head, rod))
+        return self.lines * (1 - either(angle, head, rod)) * self.connected
 
     # ---- oil
 
@@ -236,7 +241,9 @@ class Axis:
     def _blind(self, pressure: Scalar) -> Scalar:
         """1: a chamber is empty, its sensor at the end of its range, or a relief valve of the axis open."""
         relieved = whether(ca.fmax(*self.pressures) > RELIEVING * self.p.nominal_supply_pressure)
-        return either(whether(pressure < EMPTY), whether(pressure > self.p.highest_reading), relieved)
+        return either(
+            whether(pressure < self.p.zero_limit), whether(pressure > self.p.highest_reading), relieved
+        )
 
     @property
     def least_drop(self) -> Scalar:
@@ -303,7 +310,8 @@ class Axis:
     def rates(self) -> dict[str, Scalar]:
         """Of the states that all checks share."""
         found = {"usable": (self.sound - self.usable) / QUICK}
-        found |= {f"late_{k}": self.rate(k) for k in range(4)}
+        for k in range(4):  # without a lag in a gap of readings
+            found[f"late_{k}"] = ca.if_else(self.connected > 0, self.rate(k), self.behind(k) / QUICK)
         for k, sign in enumerate((1, -1)):
             now, most, least = sign * self.command, self.pair("most")[k], self.pair("least")[k]
             found[f"most_{k}"] = (now - most) / ca.if_else(now > most, QUICK, self.p.closing)

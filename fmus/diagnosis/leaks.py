@@ -38,6 +38,7 @@ SWAYING = 4.0  # of the limit, for a motor: the column swings on its oil for lon
 CHANGES = 1.2  # of the air that the hoses of a healthy machine seem to have: rests differ
 ALONE = 2.0  # limits of the air of one function
 EXPONENT = 1.4  # of the air
+ROUNDED = 1 / 6  # variance of the difference of two rounded readings, over the square of their resolution
 SEAL, OPEN, AIR = "seal_leakage", "valve_opening", "air"
 # prior standard deviations: a seal or fitting that is gone [L/min at 100 bar]; air; hoses of a motor, foam
 LEAKS, AIRY, FOAM = dict.fromkeys(("seal", "head", "rod", "valve"), 10.0), {AIR: 0.005}, {AIR: 0.02}
@@ -113,12 +114,15 @@ def _resting(a: Axis) -> tuple[Scalar, Scalar]:
 def _equations(a: Axis) -> tuple[Equations, Scalar]:
     """Losses of both chambers in this rest, over their uncertainty; how many count."""
     p, found, count = a.p, [], 0
-    for k, c in enumerate((a.actuator.head_capacitance, a.actuator.rod_capacitance)):
+    areas = a.actuator.head_area, a.actuator.rod_area
+    for k, (c, area) in enumerate(zip(a.capacitances, areas, strict=True)):
         names = ("missing_oil", "pressed", "root", "through", "spoiled")
         oil, pressed, root, through, spoiled = (a.pair(n)[k] for n in names)
         late, sign = getattr(a, f"late_{2 + k}"), 1 - 2 * k
         air = c * p.bulk_modulus * (air_volume(late) - air_volume(late - pressed))
-        off = ca.sqrt(p.end_volume**2 + (p.rest_flow * a.rest) ** 2 + (p.softness * c * pressed) ** 2)
+        rounded = ROUNDED * ((area * a.lever * p.angle_resolution) ** 2 + (c * p.pressure_resolution) ** 2)
+        known = (p.rest_flow * a.rest) ** 2 + (p.softness * c * pressed) ** 2
+        off = ca.sqrt(p.end_volume**2 + rounded + known)
         columns = [sign * a.difference / PRESSURE, (1 - k) * root, k * root, through, -air / LITRE]
         scale = (1 - spoiled) / off
         found.append(([scale * LITRE * v for v in columns], scale * oil))

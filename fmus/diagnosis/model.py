@@ -3,7 +3,8 @@
 **Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter; unless
 the oil is cold, as a clogging indicator with a thermal lockout.
 **Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled, at `PUMP_FLOW`; not with
-compensated sections, where the pressure follows the load until the pump is at its largest stroke. **Lag of
+compensated sections, where the pressure follows the load until the pump is at its largest stroke. A pressure
+that is another one, while the valves of several functions seem to be, is that of a wrong sensor. **Lag of
 all valves**: the mean of those of the functions. **Weighing**: weight.py.
 
 It is sampled, as a control unit, and its outputs depend on its states alone. Signs: those of the controller.
@@ -33,14 +34,16 @@ from fmus.diagnosis.estimates import (
     SAMPLING,
     Fit,
     Prior,
+    Solution,
     Told,
+    counted,
     either,
     judged,
     latched,
     shown,
     whether,
 )
-from fmus.diagnosis.settings import LITRE, NUMBERS, OF_MACHINE, REFERENCES, Settings, number
+from fmus.diagnosis.settings import LITRE, NUMBERS, OF_MACHINE, OF_VALVE, REFERENCES, Settings, number
 from fmus.parameters import Number
 
 NAME = "diagnosis"
@@ -51,6 +54,8 @@ LINES = {
 FLOW, BAR = 100 * LITRE, 1e5  # scales of the lines
 PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
+SUPPLY_OFF = 5e5  # Pa, from which a supply pressure is another one
+COMPARED = 100.0  # s, in which valves show whether it is that of a wrong sensor
 DELAY_OFF, AIR_OFF = 1e-6, 3e-3  # s, 1: what the lag of a valve or the air of a function is off
 RETURN, PUMP = Fit("return", ("flow", "one")), Fit("pump", ("flow", "one"))
 ALONE = {
@@ -66,6 +71,11 @@ ALONE = {
 
 
 CHECKS, FITTING = (leaks, valves, sensors), (leaks, valves)
+
+
+def _of_pump(x: Any, p: Any) -> Solution:
+    """Its pressure over its flow."""
+    return PUMP.solved(x, Prior((100, 1000), (0, number("pump_pressure", p) / BAR), 0.3, 3.0))
 
 
 def _full(axis: ControlledAxis, name: str) -> str:
@@ -149,7 +159,9 @@ class Diagnosis:
         ):
             counts *= sound * whether(flow > WORKING) / p.window
             rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], memory)
-        load = weight.Load([a for a in axes if not a.axis.turns], x, p)
+        arm, slewing = ([a for a in axes if a.axis.turns == turns] for turns in (False, True))
+        load = weight.Load(arm, x, p, slewing)
+        rates["supply_other"] = counted(x.supply_other, self._other_supply(x, p))
         rates |= load.rates() | self.tare.rates(load)
         rates["hot"] = (whether(u.oil_temperature > p.temperature_limit) - x.hot) / QUICK
         return self.states(**rates)
@@ -162,6 +174,7 @@ class Diagnosis:
         told |= {f"{n}_sensor": shown(getattr(x, f"{n}_bad"), getattr(p, f"{n}_fitted")) for n in LINES}
         told["return_resistance"] = self._return(x, p)
         told["pump_pressure"] = self._pump(x, p)
+        self._supply(told, x)
         told["valve_delay"], told["oil_air"] = self._delay(told, axes, p), self._air(told, p)
         told["oil_temperature_high"] = shown(x.hot)
         load = weight.Load((), x, p)
@@ -179,11 +192,36 @@ class Diagnosis:
         return size, off, judged(size - known, off, p.return_limit, whether(fitted.samples > FEWEST))
 
     def _pump(self, x: Any, p: Any) -> Told:
-        known = number("pump_pressure", p)
-        fitted = PUMP.solved(x, Prior((100, 1000), (0, known / BAR), 0.3, 3.0))
+        known, fitted = number("pump_pressure", p), _of_pump(x, p)
         size, off = (BAR * v for v in fitted.along(PUMP_FLOW / FLOW, 1))
         told = whether(fitted.samples > 3 * FEWEST) * whether(known > 0)  # 0: no healthy machine was measured
         return size, off, judged(known - size, off, p.pump_limit, told)
+
+    def _other_supply(self, x: Any, p: Any) -> Scalar:
+        """1: the supply pressure is not the one of before, nor of the healthy machine."""
+        known, fitted = number("pump_pressure", p), _of_pump(x, p)
+        usual, _ = fitted.along(x.late_inward / FLOW, 1)
+        mean, _ = fitted.along(PUMP_FLOW / FLOW, 1)
+        off = ca.fmax(ca.fabs(x.late_supply - BAR * usual), ca.fabs(BAR * mean - known))
+        return whether(off > SUPPLY_OFF) * whether(known > 0) * whether(fitted.samples > FEWEST)
+
+    def _supply(self, told: dict[str, Told], x: Any) -> None:
+        """A supply pressure that is another one, by which several valves seem to be others, is wrong.
+
+        As long as it is another one the maps of valves are not told. The pump is, but not at once: until then
+        strokes have shown whether valves seem to be others.
+        """
+        other = whether(x.supply_other > 0)
+        maps = {a.name: [f"{a.name}_{n}" for n in OF_VALVE[:4]] for a in self.arm.axes}
+        count = sum(either(*(whether(told[n][2] > 0) for n in names)) for names in maps.values())
+        wrong = other * whether(count > 1)
+        hidden = {n: other for names in maps.values() for n in names}
+        hidden["pump_pressure"] = either(wrong, other * whether(x.supply_other < COMPARED))
+        for n, hides in hidden.items():
+            size, deviation, state = told[n]
+            told[n] = size, deviation, ca.if_else(hides > 0, -1, state)
+        size, deviation, state = told["supply_pressure_sensor"]
+        told["supply_pressure_sensor"] = ca.fmax(size, wrong), deviation, ca.fmax(state, wrong)
 
     def _together(self, name: str, told: Mapping[str, Told], p: Any, least: float) -> tuple[Scalar, ...]:
         """Mean of a size of all axes that know it, its deviation, the mean of the references, and how many.
@@ -279,6 +317,13 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
     inputs["oil_temperature"] = ports.oil_temperature(
         "Temperature of the oil", optional="the oil stays at 60 degC"
     )
+    inputs["gap"] = Quantity(
+        "1",
+        "1: there are no readings now, or those before are of another time",
+        minimum=0.0,
+        maximum=1.0,
+        optional="readings come all the time",
+    )
     inputs["reset"] = Quantity(
         "1", "1: forget faults", minimum=0.0, maximum=1.0, optional="nothing is forgotten"
     )
@@ -292,6 +337,7 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
             unit, f"{text}, behind the slow lag", {"Pa": 1e7, "m3/s": 1e-3}.get(unit, 1.0)
         )
     states |= weight.Load.states()
+    states["supply_other"] = Quantity("s", "Time for which the supply pressure is another one than before")
     states["hot"] = Quantity("1", "1: the oil is hotter than its limit")
     states |= {
         n: Quantity("1", f"Sum of normal equations: {n}")

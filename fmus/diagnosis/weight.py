@@ -1,16 +1,22 @@
 """Payload by all cylinders, by Lagrange's equations with the energies T and V of the arm, behind a lag T_w:
 
-    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F sign(x') + D x') + h H        e = d(V - T)/dq + (p - p_late)/T_w
+    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F sign(x') + D x' + Z) + h H    e = d(V - T)/dq + (p - p_late)/T_w
 
 e_0 of the empty arm, e_m of a kilogram of payload, e_i of a kilogram of mass i of the arm; p = dT/dq', so no
 acceleration is needed. x_q = dx/dq. The tare are the masses d_i that the arm has beyond the known ones, and
-the friction of its cylinders, dry F and viscous D. It is learned without payload. Not near the ends of a
+the friction of its cylinders, dry F and viscous D, with the force Z that the
+zeros of their pressures make. It is learned without payload. Not near the ends of a
 stroke.
 
 H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. A head that swings has
 one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its mean
 square (generalised least squares with the covariance s^2 I + H^2 h h^T). Its mean is zero, as what hangs
-pulls down; if not, a pressure or an angle is wrong.
+pulls down; if not, a pressure or an angle is wrong, or the machine stands on a slope. Gravity on a slope of a
+small angle is that of an arm turned by this angle in its plane, which varies with the slewing angle s:
+
+    H = f + k (a cos(s) + b sin(s))        k = sum(h d(e_0 + m e_m)/dq_1) / sum(h^2)
+
+f is what is left. Without slewing they cannot be told apart, and the deviation of f says so.
 """
 
 from __future__ import annotations
@@ -24,7 +30,7 @@ import casadi as ca
 from fmus.contract import Quantity, Scalar, Subsystem, flat, nested, quantities
 from fmus.controller.arm import Arm, ControlledAxis
 from fmus.diagnosis.axis import Axis, Effort, Efforts, Finding
-from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, Prior, Told, judged, whether
+from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, Prior, Solution, Told, judged, whether
 from fmus.diagnosis.settings import number
 from fmus.parameters import values
 
@@ -39,11 +45,13 @@ FOLLOWED = 20.0  # s, in which the mean square of H follows
 STEADY, SWINGING = 30.0, 300.0  # N, root of that mean square: at least, and at the start
 JUMP = 9.0  # times the mean square: what counts of a larger force, as a payload that changes seems to be one
 THOUSAND = 1e3  # N, scale of H, and its deviation that is one sample
+STROKE = 6.0  # lags, for which an error of the force lasts
 END = 0.01  # m, from the end of a stroke
 NEVER = 1e-9  # 1/s, a weight of nothing
-FRICTION = ("dry_friction", "damping")
+FRICTION = ("dry_friction", "damping", "zero_force")
 
-PAYLOAD, WEIGHING = Fit("payload", ("mass",)), Fit("weighing", ("force",))
+PAYLOAD, WEIGHING = Fit("payload", ("mass",)), Fit("weighing", ("force", "pitch", "roll"))
+TILTED = ("empty", "payload")  # whose torque a slope changes
 
 OfReadings = Callable[[Any], Mapping[str, Efforts]]  # by axis
 
@@ -69,9 +77,11 @@ def states(axis: ControlledAxis) -> dict[str, Quantity]:
     if axis.turns:
         return {}
     rows = (
+        *((f"{n}_tilt", "N.m", f"Torque by a slope, {n}, per rad, behind the lag", TORQUE) for n in TILTED),
         ("torque", "N.m", "Torque of the cylinder, behind the lag", TORQUE),
         ("late_dry_friction", "m", "Lever with the sign of the speed, behind the lag", 1.0),
         ("late_damping", "m2/s", "Lever times the speed of the piston, behind the lag", 1.0),
+        ("late_zero_force", "m", "Lever of the piston, behind the lag", 1.0),
         ("late_arm", "m", "Lever of a horizontal force at the tip, behind the lag", 1.0),
         ("blocked", "1", "Share of the torque from a time at an end of the stroke", 1.0),
     )
@@ -91,10 +101,15 @@ def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfRead
     at = dict(zip(inputs, ca.vertsplit(readings), strict=True))
     x = nested(manipulator.states, rest | at | {"held_mass": payload})
     seen = flat(manipulator.observe(x, still, p))
-    kinetic, rows = seen["kinetic_energy"], list[Scalar]()
+    kinetic, potential, rows = seen["kinetic_energy"], seen["potential_energy"], list[Scalar]()
+    first = arm[0].coordinate[0]
     for a in arm:
-        weight = ca.gradient(seen["potential_energy"] - kinetic, at[a.coordinate[0]])
-        rows += [weight, ca.gradient(kinetic, at[a.speed[0]])]
+        tilt = ca.jacobian(ca.gradient(potential, at[a.coordinate[0]]), at[first])
+        rows += [
+            ca.gradient(potential - kinetic, at[a.coordinate[0]]),
+            ca.gradient(kinetic, at[a.speed[0]]),
+            tilt if arm[0].units[0] == "rad" else 0,
+        ]
     loads = ca.vertcat(payload, masses)
     found = ca.vertcat(*rows)
     table = ca.horzcat(found, ca.jacobian(found, loads))  # linear in all masses
@@ -105,7 +120,7 @@ def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfRead
         now = function(ca.vertcat(*(getattr(u, n) for n in inputs)))
         columns = ("empty", "payload", *names)
         return {
-            a.name: {n: Effort(now[2 * k, i], now[2 * k + 1, i]) for i, n in enumerate(columns)}
+            a.name: {n: Effort(*(now[3 * k + j, i] for j in range(3))) for i, n in enumerate(columns)}
             for k, a in enumerate(arm)
         }
 
@@ -121,15 +136,16 @@ def start(a: Axis) -> dict[str, Scalar]:
         "torque": a.lever * a.actuator.force(*a.pressures),
         "late_dry_friction": a.lever * speed / ca.sqrt(speed**2 + SLOW**2),
         "late_damping": a.lever * speed,
+        "late_zero_force": a.lever,
         "late_arm": a.radial,
     }
     for n, effort in a.effort.items():
         found |= {f"{n}_torque": effort.torque, f"{n}_momentum": effort.momentum}
-    return found
+    return found | {f"{n}_tilt": a.effort[n].tilt for n in TILTED}
 
 
 def column(a: Axis, name: str) -> Scalar:
-    """Torque behind the lag: of weights and motion, or friction per its size."""
+    """Torque behind the lag: of weights and motion, or of friction and zeros per their sizes."""
     if name in FRICTION:
         return getattr(a, f"late_{name}")
     return (
@@ -159,13 +175,15 @@ def rates(a: Axis) -> dict[str, Scalar]:
 class Load:
     """What hangs at the tip, by all cylinders at one instant.
 
-    axes    those with cylinders
-    x, p    states and parameters of the diagnosis
+    axes      those with cylinders
+    x, p      states and parameters of the diagnosis
+    slewing   those with motors
     """
 
     axes: Sequence[Axis]
     x: Any
     p: Any
+    slewing: Sequence[Axis] = ()
 
     @staticmethod
     def states() -> dict[str, Quantity]:
@@ -187,16 +205,25 @@ class Load:
         """h of each cylinder [m], 0 of one that does not count."""
         return [c * a.late_arm for a, (_, c) in zip(self.axes, self._balances, strict=True)]
 
-    @property
-    def equations(self) -> Equations:
-        """Of the payload, in hundred kg, for each cylinder; all zero of one that does not count."""
+    def _slope(self) -> tuple[Scalar, Scalar]:
+        """Parts of a slope in the plane of the arm: cosine and sine of the slewing angle."""
+        angle = next((a.reading(0) for a in self.slewing), 0)
+        return ca.cos(angle), ca.sin(angle)
+
+    def equations(self, tilt: Scalar) -> Equations:
+        """Of the payload, in hundred kg, for each cylinder; all zero of one that does not count.
+
+        tilt   of the arm by a slope [rad]
+        """
         found = list[tuple[Sequence[Scalar], Scalar]]()
         for a, (torque, counts) in zip(self.axes, self._balances, strict=True):
             for n in list(a.effort)[2:]:  # masses of the arm
                 torque -= number(f"{n}_off", self.p) * column(a, n)
             for n in FRICTION:
                 torque -= number(f"{a.axis.name}_{n}", self.p) * column(a, n)
-            found.append(([counts * HUNDRED * column(a, "payload") / TORQUE], counts * torque / TORQUE))
+            torque -= tilt * a.empty_tilt
+            load = column(a, "payload") + tilt * a.payload_tilt
+            found.append(([counts * HUNDRED * load / TORQUE], counts * torque / TORQUE))
         return found
 
     def without_horizontal(self, equations: Equations) -> Equations:
@@ -214,8 +241,10 @@ class Load:
     def rates(self) -> dict[str, Scalar]:
         """Of the sums, and of the mean square of H."""
         x, p, lag, count = self.x, self.p, self.p.weighing_lag, self.count
-        plain = self.equations
-        calm = self.without_horizontal(plain)
+        along = self._slope()
+        _, *parts = self._forces().sizes
+        plain = self.equations(0)
+        calm = self.without_horizontal(self.equations(sum(c * v for c, v in zip(along, parts, strict=True))))
         known = sum(c**2 for (c,), _ in calm) + 1e-9
         size, off = self._payload()
         change = sum(c * y for (c,), y in calm) / known - size
@@ -231,8 +260,15 @@ class Load:
         square = ca.fmin(force**2, JUMP * ca.fmax(x.horizontal_square, STEADY**2))
         found["horizontal_square"] = several * (square - x.horizontal_square) / FOLLOWED
         variance = NOISE**2 / length + (by_payload * off) ** 2
-        weight = several / (1 + variance / THOUSAND**2) / lag
-        return found | WEIGHING.rates(x, weight, [([1], force / THOUSAND)], p.balance_memory)
+        weight = several / (1 + variance / THOUSAND**2) / (STROKE * lag)
+        by_tilt = (a.empty_tilt + HUNDRED * size * a.payload_tilt for a in self.axes)
+        share = sum(h * t for h, t in zip(levers, by_tilt, strict=True)) / length / THOUSAND
+        columns = [1, *(share * c for c in along)]
+        return found | WEIGHING.rates(x, weight, [(columns, force / THOUSAND)], p.balance_memory)
+
+    def _forces(self) -> Solution:
+        """Mean of H [kN], and the slope [rad]."""
+        return WEIGHING.solved(self.x, Prior((20, *[self.p.slope] * 2), (0, 0, 0), 0.01, 0.5))
 
     def _payload(self) -> tuple[Scalar, Scalar]:
         """In hundred kg."""
@@ -247,8 +283,8 @@ class Load:
 
     def weighing(self) -> Told:
         """Mean of H [N]."""
-        fitted = WEIGHING.solved(self.x, Prior((20,), (0,), 0.01, 0.5))
-        ((size, off),) = ((THOUSAND * s, THOUSAND * d) for s, d in fitted)
+        fitted = self._forces()
+        size, off = (THOUSAND * v for v in next(iter(fitted)))
         told = whether(fitted.samples > FEWEST)
         return size, off, judged(ca.fabs(size), off, self.p.weighing_limit, told)
 
@@ -291,6 +327,7 @@ class Tare:
         for a in self.cylinders:
             found[f"{a}_dry_friction"] = Finding("N", f"Dry friction of the {a} cylinder", 30.0, "tare")
             found[f"{a}_damping"] = Finding("N.s/m", f"Viscous friction of the {a} cylinder", DAMPING, "tare")
+            found[f"{a}_zero_force"] = Finding("N", f"Force by zeros of the {a} pressures", FORCE, "tare")
         return found
 
     @property
@@ -306,7 +343,7 @@ class Tare:
 
     @property
     def _scales(self) -> list[float]:
-        return [HUNDRED] * len(self.masses) + [FORCE, DAMPING] * len(self.cylinders)
+        return [HUNDRED] * len(self.masses) + [FORCE, DAMPING, FORCE] * len(self.cylinders)
 
     def rates(self, load: Load) -> dict[str, Scalar]:
         """Of the sums; an equation of each cylinder."""
@@ -325,7 +362,7 @@ class Tare:
         """Sizes; not known before some samples."""
         deviations = [
             *(max(0.1 * m, 1.0) for m in self.known),
-            *[2 * FORCE, 3 * DAMPING] * len(self.cylinders),
+            *[2 * FORCE, 3 * DAMPING, 3 * FORCE] * len(self.cylinders),
         ]
         prior = Prior(
             [d / s for d, s in zip(deviations, self._scales, strict=True)],

@@ -23,8 +23,8 @@ def diagnose(
 ) -> int:
     """Tell what is broken in a machine, from a recording of its pressures, joint angles and commands.
 
-    Writes a report. The exit status is 1 if something is broken, and 3 if nothing was found, but less than
-    half of the parts can be judged.
+    Writes a report. The exit status is 1 if something is broken, and 3 if nothing was found, but there are
+    less than three minutes of readings, or less than half of the parts can be judged.
 
     recording    Columns with the names of the inputs of the FMU, also COMPONENT.NAME or NAME_measured, best
                  at 100 Hz or more (.csv, .parquet, .mat, .mf4, .tdms); a .toml of the same name can describe
@@ -48,7 +48,8 @@ def diagnose(
     found = diagnosed(fmu, recording, parameters or ())
     if learn is not None:
         write_whole(learn, learned(found))
-        print(f"{learn}: {len(learned_values(found))} values of the healthy machine")
+        lines = [*found.remarks, found.shortness] if found.shortness else found.remarks
+        print(*lines, f"{learn}: {len(learned_values(found))} values of the healthy machine", sep="\n")
         return 0
     print(found.text())
     page, numbers = found.report().write(out / "diagnosis.html")

@@ -44,7 +44,7 @@ def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
         values[known] = np.unwrap(values[known], period=spec.wrap)
     if spec.held:  # also if there are gaps between its samples
         known = np.isfinite(values)
-        values[known] = np.where(_is_new(values[known], time[known]), values[known], np.nan)
+        values[known] = np.where(is_new(values[known], time[known]), values[known], np.nan)
     return delayed(values, time, spec.delay) if spec.delay else values
 
 
@@ -70,7 +70,7 @@ def log_faults(raw: Array, spec: SignalDescription, step: float) -> Iterator[str
         yield f"jumps {jumps} times by about {turn:.6g}; wrap = {turn:.10g} unwraps an angle"
     sizes = np.abs(np.diff(values))
     # steps of one size are those of a converter that follows a slow signal
-    hold = _hold(values)
+    hold = hold_of(values)
     if 0 < hold * step < SLOWEST and np.median(sizes[sizes > 0]) > STEP * sizes[sizes > 0].min():
         yield f"each value is held for {hold:.3g} samples, slower than the log: held = true uses each once"
 
@@ -134,7 +134,7 @@ def _runs(values: Array) -> NDArray[np.int64]:
     return np.flatnonzero(np.diff(values, prepend=np.nan) != 0)
 
 
-def _hold(values: Array) -> float:
+def hold_of(values: Array) -> float:
     """Rows for which a slower source is held, on average; 0 if the values do not change in such a rhythm."""
     starts = _runs(values)[1:]
     lengths = np.diff(starts)
@@ -146,7 +146,7 @@ def _hold(values: Array) -> float:
     return period if np.quantile(np.abs(late), 0.95) < 1 else 0.0
 
 
-def _is_new(values: Array, time: Array) -> NDArray[np.bool_]:
+def is_new(values: Array, time: Array) -> NDArray[np.bool_]:
     """Whether each sample is a new one of a source that is held, also if it has the same value.
 
     Without a rhythm, as of a lever that seldom moves, a run that is longer than usual has several samples. A
@@ -154,7 +154,7 @@ def _is_new(values: Array, time: Array) -> NDArray[np.bool_]:
     """
     starts, rows = _runs(values), np.arange(len(values))
     run = np.searchsorted(starts, rows, side="right") - 1
-    hold = round(_hold(values))
+    hold = round(hold_of(values))
     if not hold:
         lengths, lasts = np.diff(starts[1:]), np.diff(time[starts[1:]])  # the first and the last run are cut
         hold = round(float(np.median(lengths[lasts < SLOWEST]))) if (lasts < SLOWEST).any() else 1

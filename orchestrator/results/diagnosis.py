@@ -17,7 +17,7 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, require, tell_once
 from orchestrator.base.text import DisplayUnit, TextTable, first_names, number
-from orchestrator.data.corrections import rate_faults
+from orchestrator.data.corrections import hold_of, is_new, rate_faults
 from orchestrator.data.description import description_next_to
 from orchestrator.data.recording import read_recording
 from orchestrator.data.table import READABLE, Array
@@ -36,10 +36,17 @@ LONGEST_GAP = 3600.0  # s, in which a machine may be off; a longer one is longer
 ROWS = 100_000  # of the findings at most, 0.3 s apart over a day of 8 h: a hundred outputs fit into memory
 INTERVAL = 1.96  # deviations of a 95 % interval
 SLOW, SLOWEST = 1.2, 10.5  # steps of a log from which faults are told later; from which none is certain
+ENOUGH = 180.0  # s of readings, from which nothing found means something
+GAP, LATE = 0.25, 5.0  # s and steps between two readings: from both on it is a gap
+FASTEST, OFF = 3.0, 0.02  # rad/s and rad, m/s and m: what moves more between two readings was spliced
+SPIKE = 20.0  # times the usual changes of a reading, by which a single one is no reading
+BEYOND = 1.5  # times the full command of a valve
 # settings for readings of each step
 COUNTED = ("still_time", "still_motion", "response_time", "burst_volume", "delay_limit")
 KNOWN = 100.0  # a deviation of the prior over one from which a size can be learned that is never told
 FITTED, REFERENCE = "_fitted", "_reference"
+COLDEST = 200.0  # K
+EVEN = 1e6  # Pa, below which a return line without a resistance has one pressure
 LITRE = 1 / 6e4  # L/min in m3/s
 # unit -> factor and unit for a reader, of quantities whose usual one is another
 SHOWN = {
@@ -54,6 +61,7 @@ BLIND = (
     "A reading is missing or wrong, old and new readings contradict each other, or the machine did not do"
     " what would show it: rest, motion or flow for long enough"
 )
+READ_ONLY = (" sensor", "cooler", "tare")  # ends of repairs that one reading alone tells
 
 
 @dataclass(frozen=True)
@@ -107,6 +115,11 @@ class Finding:
         display = DisplayUnit(self.unit, {"Pa": "bar"}.get(self.unit, self.unit))
         return display.factor, display.name
 
+    def usual(self) -> str:
+        """The size of the healthy machine, of what has a size."""
+        factor, unit = self.shown
+        return f"{number(factor * self.healthy)} {unit}".removesuffix(" 1") if self.deviation.any() else ""
+
     def extent(self) -> str:
         """The size with its 95 % interval, where it was told last."""
         factor, unit = self.shown
@@ -128,8 +141,15 @@ class Diagnosis:
 
     @property
     def broken(self) -> list[Finding]:
-        """The faults, in the order of their certainty."""
-        return sorted((f for f in self.findings if f.broken), key=lambda f: (-f.certainty, f.since))
+        """The faults, in the order of their certainty.
+
+        What may be healthy by its own interval is one only if nothing else tells the same repair; then it
+        is the most certain such finding, which is judged together with others.
+        """
+        told = sorted((f for f in self.findings if f.broken), key=lambda f: (-f.certainty, f.since))
+        certain = {f.repair for f in told if not f.may_be_healthy}
+        kept = {f.repair: f for f in reversed(told) if f.repair not in certain}
+        return [f for f in told if not f.may_be_healthy or kept.get(f.repair) is f]
 
     @property
     def blind(self) -> dict[str, list[Finding]]:
@@ -152,38 +172,63 @@ class Diagnosis:
         return found
 
     @property
+    def shortness(self) -> str:
+        """That the recording is too short to learn a machine or to call it healthy; empty if it is not."""
+        length = float(self.findings[0].time[-1] - self.findings[0].time[0])
+        return f"only {length:.3g} s of readings, expected {ENOUGH:g} s" if length < ENOUGH - 1 else ""
+
+    @property
+    def lacking(self) -> str:
+        """Why it is not known whether the machine is healthy if nothing was found; empty if it is."""
+        if self.shortness:
+            return self.shortness
+        sound, all_of = len(self.sound), len(self.sound) + len(self.blind)
+        if 2 * sound < all_of:
+            return f"only {sound} of {all_of} parts can be judged"
+        return (
+            "" if any(not n.endswith(READ_ONLY) for n in self.sound) else "nothing but sensors can be judged"
+        )
+
+    @property
     def is_known(self) -> bool:
-        """Whether a fault was told, or at least half of the parts can be judged at the end."""
-        return bool(self.broken) or len(self.sound) >= len(self.blind)
+        """Whether a fault was told, or enough was seen to say that there is none."""
+        return bool(self.broken) or not self.lacking
 
     @property
     def verdict(self) -> str:
         """What was found, in words."""
         if self.broken:
             unsure = [f.text for f in self.broken if f.may_be_healthy]
-            together = "; each of these may be healthy alone, but not all: " if unsure else ""
-            return f"{len(self.broken)} found, the most certain first{together}{'; '.join(unsure)}"
-        count = f"{len(self.sound)} of {len(self.sound) + len(self.blind)} parts can be judged"
-        return "nothing found" if self.is_known else f"not known whether it is healthy: only {count}"
+            together = "; by its own interval it may be healthy, but not with the others of its part: "
+            told = f"{len(self.broken)} found, the most certain first"
+            return f"{told}{together if unsure else ''}{'; '.join(unsure)}"
+        return f"not known whether it is healthy: {self.lacking}" if self.lacking else "nothing found"
 
     def table(self) -> TextTable:
         """The faults."""
-        rows = [[f.text, f.extent(), f"{f.since:.2f}", f.repair] for f in self.broken]
-        return TextTable(("fault", "size (95 % interval)", "told at [s]", "look at"), rows, left=(0, 1, 3))
+        rows = [[f.text, f.extent(), f.usual(), f"{f.since:.2f}", f.repair] for f in self.broken]
+        head = ("fault", "size (95 % interval)", "healthy", "told at [s]", "look at")
+        return TextTable(head, rows, left=(0, 1, 2, 4))
 
     def report(self) -> Report:
-        """What is broken, with its picture, and what cannot be told."""
+        """What is broken, with its picture; without a fault, what was not examined comes first."""
         blind = [f"{name}: {'; '.join(f.text for f in some)}" for name, some in self.blind.items()]
+        told = [f"{self.source}: {self.verdict}"]
         at_end = [f"Cannot be told at the end: {', '.join(self.blind)}"] if self.blind else []
         time = self.findings[0].time
         interval = "; intervals hold the size with 95 %" if self.broken else ""
+        unknown = Section(
+            "What cannot be told at the end",
+            [Text([BLIND, *blind] if blind else [])],
+            folded=bool(self.broken),
+        )
+        sound = Section("No fault", [Text([", ".join(self.sound)] if self.sound else [])])
         parts: list[Part] = [
             Text(self.remarks, "soft"),
-            Table(self.table()),
-            Text([f"{self.source}: {self.verdict}", *at_end], only=TERMINAL),
+            *([Table(self.table())] if self.broken else []),
+            Text([*told, *at_end] if self.broken else [*at_end, *told], only=TERMINAL),
             *(Section(f.text, [_told(f), Figure(_figure(f), f.name, GREY)]) for f in self.broken),
-            Section("No fault", [Text([", ".join(self.sound)] if self.sound else [])]),
-            Section("What cannot be told at the end", [Text([BLIND, *blind] if blind else [])], folded=True),
+            *([sound, unknown] if self.broken else [unknown, sound]),
         ]
         data = {"source": self.source, "remarks": self.remarks, "findings": [_data(f) for f in self.findings]}
         passed = False if self.broken else True if self.is_known else None
@@ -197,8 +242,7 @@ class Diagnosis:
 
 def _told(f: Finding) -> Text:
     """When a fault was told, its size beside the healthy one, and the repair."""
-    factor, unit = f.shown
-    healthy = f"; healthy: {number(factor * f.healthy)} {unit}".rstrip() if f.extent() else ""
+    healthy = f"; healthy: {usual}" if (usual := f.usual()) else ""
     size = [f"{f.extent()}{healthy}"] if f.extent() else []
     return Text([f"Told at {number(f.since)} s", f"Look at: {f.repair}", *size])
 
@@ -268,26 +312,115 @@ def diagnose(
     if not trace.signals:
         names = first_names(sorted(inputs), 8)
         raise Problem(f"{recording}: no column has the name of an input of {fmu.name}: {names}")
+    return _examined(system, trace, str(recording), parameters, set or {})
+
+
+def over(
+    fmu: Path, time: Array, signals: Mapping[str, Array], set: Mapping[str, float] | None = None
+) -> Diagnosis:
+    """Of signals with the names of the inputs, of shape (n,) each."""
+    return _examined(load(fmu), Trace(np.asarray(time), dict(signals)), "signals", (), set or {})
+
+
+def _examined(
+    system: System, trace: Trace, source: str, parameters: Sequence[Path], set: Mapping[str, float]
+) -> Diagnosis:
+    """Check the readings, and run the FMU over them.
+
+    source   of the readings, for messages
+    """
+    (component,) = system.components.values()
     if len(trace.time) < 2:
-        raise Problem(f"{recording}: expected two or more rows of numbers, got 1")
+        raise Problem(f"{source}: expected two or more rows of numbers, got 1")
     steps = np.diff(trace.time)
     if steps.max(initial=0.0) > LONGEST_GAP and steps.max() > len(steps) * np.median(steps):
         k = int(steps.argmax())
         gap = f"{trace.time[k]:g} s to {trace.time[k + 1]:g} s"
-        raise Problem(f"{recording}: expected readings all the time, got none from {gap}")
-    missing, remarks = _without(component, trace, recording)
+        raise Problem(f"{source}: expected readings all the time, got none from {gap}")
+    _refuse_units(component, trace, source)
+    resolutions = {n: _resolution(v) for n, v in trace.signals.items()}
+    trace, period, remarks = _usable(component, trace, source)
+    missing, more = _without(component, trace, source)
     units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
-    remarks += [f"{recording}: {n}: {fault}" for n, fault in rate_faults(trace.time, trace.signals, units)]
+    remarks += more
+    remarks += [f"{source}: {n}: {fault}" for n, fault in rate_faults(trace.time, trace.signals, units)]
     values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing}
-    if (slow := float(np.median(steps)) / STEP) > SLOW:
-        rate = f"{recording}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"
+    if (slow := period / STEP) > SLOW:
+        rate = f"{source}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"
         if slow > SLOWEST:
             raise Problem(f"{rate}, at least {1 / STEP / SLOWEST:.2g} Hz")
         remarks.insert(0, f"{rate}: sensors, spools and bursts are judged over {slow:.3g} times as long")
         settings = [n for n in COUNTED if n in component.interface.variables]
         values |= {f"{component.name}.{n}": slow * float(component.value(n)) for n in settings}
-    values |= set or {}
-    return _run(system, trace, recording.name, parameters, values, remarks)
+    for kind, unit in (("pressure", "Pa"), ("angle", "rad")):
+        if (name := f"{kind}_resolution") in component.interface.variables:
+            own = [r for n, r in resolutions.items() if units[n] == unit]
+            values[f"{component.name}.{name}"] = max([float(component.value(name)), *own])
+    return _run(system, trace, Path(source).name, parameters, values | dict(set), remarks)
+
+
+def _resolution(values: Array) -> float:
+    """Step of a reading that was rounded; 0 of one that was not."""
+    steps = np.diff(np.unique(values))
+    steps = steps[steps > 1e-6 * max(np.ptp(values), 1e-300)]
+    if len(steps) < 2:
+        return 0.0
+    step = float(np.quantile(steps, 0.02))
+    off = (values - values[0]) / step
+    return step if (np.abs(off - np.round(off)) < 0.05).mean() > 0.95 else 0.0
+
+
+def _refuse_units(component: Component, trace: Trace, source: str) -> None:
+    """Raise Problem if a reading cannot have the unit of its input."""
+    variables = component.interface.variables
+    for name, values in trace.signals.items():
+        unit, size = variables[name].unit_name or "1", float(np.abs(values).max())
+        full = [float(component.value(n)) for n in variables if n.endswith("valve_full_command")]
+        if unit == "K" and values.min() < COLDEST:
+            raise Problem(f"{source}: {name}: expected K, got {values.min():.4g} K; did you mean degC?")
+        if name.endswith("_command") and full and size > BEYOND * max(full):
+            text = f"expected at most {max(full):g} {unit}, got {size:.4g} {unit}"
+            raise Problem(f"{source}: {name}: {text}; did you mean % or mV?")
+
+
+def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, float, list[str]]:
+    """The readings without holds and single wrong ones, marked where they were interrupted; lines about it.
+
+    The second value is the time between two of them [s], of the slowest.
+    """
+    variables, remarks, signals = component.interface.variables, list[str](), dict(trace.signals)
+    held = 1.0
+    steps, jumps = np.diff(trace.time), np.zeros(len(trace.time) - 1)
+    for name, values in trace.signals.items():
+        if name.endswith("_command") or not np.ptp(values):
+            continue
+        if (rows_held := hold_of(values)) > 1:
+            held, new = max(held, rows_held), is_new(values, trace.time)
+            values = np.asarray(np.interp(trace.time, trace.time[new], values[new]), np.float64)
+            signals[name] = values
+        before, after = np.diff(values)[:-1], np.diff(values)[1:]
+        usual = float(np.quantile(np.abs(np.diff(values)), 0.95))
+        spikes = np.minimum(np.abs(before), np.abs(after)) > max(SPIKE * usual, 0.2 * np.ptp(values))
+        spikes &= np.abs(before + after) < 0.2 * np.abs(before)
+        if rows := [int(k) for k in np.flatnonzero(spikes) + 1]:
+            signals[name] = values.copy()
+            signals[name][rows] = values[[k - 1 for k in rows]]
+            remarks.append(
+                f"{source}: {name}: left out, as they are far from both neighbours: single readings, {len(rows)}"
+            )
+        if variables[name].unit_name in ("rad", "m"):
+            jumps += np.abs(np.diff(signals[name])) > FASTEST * steps + OFF
+    gaps, splices = (steps > GAP) & (steps > LATE * np.median(steps)), jumps > 1
+    if gaps.any():
+        what = f"gaps of readings: {int(gaps.sum())}, the longest of {steps.max():.3g} s"
+        remarks.append(f"{source}: {what}; nothing is judged in them")
+    if splices.any():
+        at = f"{trace.time[int(splices.argmax()) + 1]:.6g} s"
+        remarks.append(f"{source}: all angles jump at {at}: two recordings? Nothing is judged over the jump")
+    if "gap" in variables and (gaps | splices).any():
+        off = gaps | splices
+        signals["gap"] = (np.append(off, False) | np.insert(off, 0, False)).astype(np.float64)
+    return Trace(trace.time, signals, trace.units), held * float(np.median(steps)), remarks
 
 
 def _run(
@@ -325,18 +458,15 @@ def _run(
         reference = f"{one[0]}{REFERENCE}"
         healthy = float(component.value(reference)) if reference in variables else 0.0
         findings.append(Finding(*one, time, size, off, state, healthy))
-    doubts = [w for w in result.system.warnings if "did you mean" in w]
+    doubts = [w for w in result.system.warnings if "did you mean" in w and REFERENCE not in w]
+    valves = {f.repair for f in findings if "_gain_" in f.name}
+    if len(valves) > 1 and valves <= {f.repair for f in findings if f.broken}:
+        text = "the valves of all functions differ from those of the healthy machine"
+        doubts.append(f"{source}: {text}; is it a recording of another one? --learn makes the values of each")
     return Diagnosis(source, findings, result, [*remarks, *doubts])
 
 
-def over(
-    fmu: Path, time: Array, signals: Mapping[str, Array], set: Mapping[str, float] | None = None
-) -> Diagnosis:
-    """Of signals with the names of the inputs, of shape (n,) each."""
-    return _run(load(fmu), Trace(np.asarray(time), dict(signals)), "signals", (), dict(set or {}), ())
-
-
-def _without(component: Component, trace: Trace, file: Path) -> tuple[list[str], list[str]]:
+def _without(component: Component, trace: Trace, source: str) -> tuple[list[str], list[str]]:
     """Readings that are missing or constant, and lines about them."""
     variables, missing, remarks = component.interface.variables, list[str](), list[str]()
     for name, v in variables.items():
@@ -344,17 +474,18 @@ def _without(component: Component, trace: Trace, file: Path) -> tuple[list[str],
             continue
         fitted = f"{name}{FITTED}" in variables
         if name in trace.signals:
-            if fitted and len(trace.time) > 1 and np.ptp(trace.signals[name]) == 0:
+            even = name == "tank_pressure" and abs(trace.signals[name][0]) < EVEN
+            if fitted and len(trace.time) > 1 and np.ptp(trace.signals[name]) == 0 and not even:
                 missing.append(name)
                 value = f"{trace.signals[name][0]:.6g}"
-                remarks.append(f"{file}: {name} is {value} all the time; its sensor counts as missing")
+                remarks.append(f"{source}: {name} is {value} all the time; its sensor counts as missing")
         elif fitted:
             missing.append(name)
-            remarks.append(f"{file}: no column {name}; what needs it is not examined")
+            remarks.append(f"{source}: no column {name}; what needs it is not examined")
         elif name.endswith("_command"):
-            raise Problem(f"{file}: expected the column {name}, got {first_names(trace.signals, 8)}")
+            raise Problem(f"{source}: expected the column {name}, got {first_names(trace.signals, 8)}")
         elif v.unit_name not in (None, "1"):
-            remarks.append(f"{file}: no column {name}; its start value counts")
+            remarks.append(f"{source}: no column {name}; its start value counts")
     return missing, remarks
 
 

@@ -164,5 +164,6 @@ def test_a_link_without_a_known_mass_has_a_tare_too():
     told = tare.told(sums, SimpleNamespace(**known))
     sizes = {n: float(ca.evalf(ca.SX(size))) for n, (size, _, _) in told.items()}
     off = float(ca.evalf(ca.SX(told["link_mass_off"][1])))
-    assert sizes == pytest.approx({"link_mass_off": 0.0, "boom_dry_friction": 0.0, "boom_damping": 2e4})
+    healthy = {"link_mass_off": 0.0, "boom_dry_friction": 0.0, "boom_damping": 2e4, "boom_zero_force": 0.0}
+    assert sizes == pytest.approx(healthy)
     assert 1.0 <= off < 10.0
