@@ -406,7 +406,8 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
             signals[name] = values.copy()
             signals[name][rows] = values[[k - 1 for k in rows]]
             remarks.append(
-                f"{source}: {name}: left out, as they are far from both neighbours: single readings, {len(rows)}"
+                f"{source}: {name}: left out, as they are far from both neighbours: single readings,"
+                f" {len(rows)}"
             )
         if variables[name].unit_name in ("rad", "m"):
             jumps += np.abs(np.diff(signals[name])) > FASTEST * steps + OFF
