@@ -286,6 +286,8 @@ export class Page {
     if (mode === "replay" && this.failed) [this.failed, this.at("said").textContent] = [false, ""];
     if (mode !== "replay") this.source.program = mode === "program";
     for (const button of this.root.querySelectorAll("[data-mode]")) button.setAttribute("aria-pressed", String(button.dataset.mode === mode));
+    this.root.classList.toggle("hm-driving", mode === "drive"); // a page may give it more room
+    if (mode === "drive" && before && before !== mode) this.root.scrollIntoView({ block: "nearest" });
     this.at("time").hidden = this.at("ghost").hidden = mode !== "replay";
     this.at("ghost").hidden ||= !this.source.ghost;
     this.at("pose-choice").hidden = mode === "replay" || Object.keys(this.data.fmu.poses).length === 0;
