@@ -32,6 +32,7 @@ from fidelity_cases import (
     simulate,
     within,
 )
+from fidelity_combinations import combinations
 from fidelity_measures import modes
 from fidelity_tables import (
     Outcome,
@@ -52,7 +53,6 @@ from orchestrator import load
 from orchestrator.pages.plotting import png
 from orchestrator.results.comparison import compare
 from orchestrator.results.comparison_report import draw
-from orchestrator.studies.variant_costs import combinations
 
 HERE = Path(__file__).parent
 DOCUMENT, IMAGES = HERE / "fidelity.md", HERE / "images"

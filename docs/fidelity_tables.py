@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 from fidelity_cases import IN, OUT, QUICK, SPEEDS, STICK, SWING, TURN, Case, Test, Trace, cycle, tested
+from fidelity_combinations import Combination
 from fidelity_measures import SPLIT, Mode, Ripple, mode_of, peaks, return_ripple, together
 
 from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS
 from orchestrator.base.text import percentage
 from orchestrator.results.comparison import Comparison
-from orchestrator.studies.variant_costs import Combination
 
 LEAST = 0.05  # bar: a ripple below has no frequency worth telling
 NOTHING = 0.15  # %: a change of peaks below is none

@@ -85,6 +85,23 @@ def linker_arguments(library: str, target: Platform, libraries: Sequence[str] = 
     return tuple(libraries) if target.suffix == ".so" else ()
 
 
+C_FLAGS = (  # of our own C libraries
+    *("-std=gnu11", "-O2", "-g0", "-s", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden"),
+    *("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"),
+    "-ffp-contract=off",  # bit-identical results on each processor
+    "-mcpu=baseline",  # the cache may be shared by machines with different instruction sets
+)
+
+
+def recipe(name: str, folder: Path, system: str) -> tuple[str, dict[str, bytes], list[str]]:
+    """The library of the C files in a folder for one of `PLATFORMS`, as arguments of `shared_library`."""
+    target = PLATFORMS[system]
+    library = f"{name}{target.suffix}"
+    code = {path.name: path.read_bytes() for path in folder.glob("*.[ch]")}
+    sources = sorted(file for file in code if file.endswith(".c"))
+    return library, code, ["-target", target.target, *C_FLAGS, *sources, *linker_arguments(library, target)]
+
+
 class CompilerError(Problem):
     """The compiler is missing or reports an error; `output` is the whole text that it wrote to stderr."""
 

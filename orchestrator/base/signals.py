@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterable
 from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.errors import UnknownSignal
+from orchestrator.base.errors import Problem, UnknownSignal
 
 Array = NDArray[np.float64]
 CONSTANT = 1e-9  # range over magnitude of a constant signal: rounding of the digits in a CSV file
@@ -31,6 +31,19 @@ def matching(names: Collection[str], pattern: str) -> list[str]:
         return [pattern]
     whole = "." in pattern
     return [name for name in names if fnmatchcase(name if whole else bare_name(name), pattern)]
+
+
+def selected(names: Collection[str], patterns: Iterable[str], missing: Callable[[str], str]) -> list[str]:
+    """The signals that any of some names and patterns selects, in the order of the signals.
+
+    missing   the message of the Problem for one that selects none
+    """
+    chosen = set[str]()
+    for pattern in patterns:
+        if not (matches := matching(names, pattern)):
+            raise Problem(missing(pattern))
+        chosen.update(matches)
+    return [name for name in names if name in chosen]
 
 
 def completions(names: Collection[str]) -> list[str]:

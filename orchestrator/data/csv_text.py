@@ -7,30 +7,19 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.compiler import PLATFORMS, host, linker_arguments, shared_library
+from orchestrator.base import compiler
+from orchestrator.base.compiler import host, shared_library
 from orchestrator.base.errors import Problem
 
-SOURCE = Path(__file__).parent / "native" / "csv_text.c"
-FLAGS = (
-    *("-std=gnu11", "-O2", "-g0", "-s", "-fPIC", "-shared", "-fvisibility=hidden", "-mcpu=baseline"),
-    *("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"),
-)
+recipe = partial(compiler.recipe, "csv_text", Path(__file__).parent / "native")  # for a platform
 LONGEST = 25  # characters of a value and its comma, such as -2.2250738585072014e-308
 POWERS = range(-292, 325)  # of ten, by which float64 values are scaled
-
-
-def recipe(platform: str) -> tuple[str, dict[str, bytes], list[str]]:
-    """The library for one of `PLATFORMS`, as arguments of `compiler.shared_library`."""
-    target = PLATFORMS[platform]
-    name = f"csv_text{target.suffix}"
-    flags = ["-target", target.target, *FLAGS, SOURCE.name, *linker_arguments(name, target)]
-    return name, {SOURCE.name: SOURCE.read_bytes()}, flags
 
 
 def rows_text(rows: NDArray[np.float64]) -> bytes | None:

@@ -182,16 +182,10 @@ class Recording(Trace):
     def numeric_condition(self, name: str) -> float:
         """The value of a numeric condition, in SI units."""
         value = self.conditions.get(name)
-        return value if isinstance(value, float) else self._refuse(name, "a number with its unit")
-
-    def text_condition(self, name: str) -> str:
-        """The text of a condition without a unit."""
-        value = self.conditions.get(name)
-        return value if isinstance(value, str) else self._refuse(name, "a text")
-
-    def _refuse(self, name: str, expected: str) -> NoReturn:
-        got = "nothing" if (value := self.conditions.get(name)) is None else repr(value)
-        raise Problem(f"{self.source}: experiment: {name}: expected {expected}, got {got}")
+        if isinstance(value, float):
+            return value
+        got = "nothing" if value is None else repr(value)
+        raise Problem(f"{self.source}: experiment: {name}: expected a number with its unit, got {got}")
 
     def interpolated(self, name: str) -> Array:
         """A signal, linear over gaps and constant before its first and after its last sample; else zeros."""

@@ -101,6 +101,7 @@ class TraceSink:
         """Receive the signals; `rows`: the expected number of points or rows."""
         del rows
         self.layout, self.rows, self.last = layout, 0, float("nan")
+        self._peaks, self._peak_times = np.zeros((2, len(layout.names)))
 
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int64]) -> None:
         """Receive points of a run: times [s], shape (n,), Real and Integer values, shape (n, ...)."""
@@ -124,18 +125,20 @@ class TraceSink:
 
     def append(self, times: Array, values: Array) -> None:
         """Receive rows: times [s], shape (n,), and values, shape (n, signals)."""
-        del values
-        if len(times):
-            self.rows, self.last = self.rows + len(times), float(times[-1])
+        if not len(times):
+            return
+        self.rows, self.last = self.rows + len(times), float(times[-1])
+        row = np.argmax(np.abs(values), axis=0)
+        largest = values[row, np.arange(values.shape[1])]
+        higher = np.abs(largest) > np.abs(self._peaks)
+        self._peaks[higher], self._peak_times[higher] = largest[higher], times[row[higher]]
 
     def largest(self, name: str) -> tuple[float, float] | None:
         """The value of largest magnitude and its time [s]; None if the signal is not recorded."""
         if not self.rows or name not in self.layout.names:
             return None
-        return self._peak(self.layout.names.index(name))
-
-    def _peak(self, signal: int) -> tuple[float, float]:
-        raise NotImplementedError
+        signal = self.layout.names.index(name)
+        return float(self._peaks[signal]), float(self._peak_times[signal])
 
 
 class TraceInMemory(TraceSink):
@@ -173,11 +176,6 @@ class TraceInMemory(TraceSink):
         stored = len(self._times)
         times[:stored], values[:, :stored] = self._times, self._values
         self._times, self._values = times, values
-
-    def _peak(self, signal: int) -> tuple[float, float]:
-        values = self.trace[self.layout.names[signal]]
-        row = int(np.argmax(np.abs(values)))
-        return float(values[row]), float(self._times[row])
 
     @property
     def trace(self) -> Trace:
@@ -252,7 +250,6 @@ class TraceFile(TraceSink):
         check_room(rows, len(layout.names), folder, self.number_size)
         self.accept(layout)
         super().begin(layout, rows)
-        self._peaks, self._peak_times = np.zeros(len(layout.names)), np.zeros(len(layout.names))
         self._kept.begin(layout)
         with naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -276,14 +273,6 @@ class TraceFile(TraceSink):
             self._kept.begin(self._kept.layout)  # releases the memory
         elif self._kept.rows + len(times) == self.rows:
             self._kept.append(times, values)
-        if len(times):
-            row = np.argmax(np.abs(values), axis=0)
-            largest = values[row, np.arange(values.shape[1])]
-            higher = np.abs(largest) > np.abs(self._peaks)
-            self._peaks[higher], self._peak_times[higher] = largest[higher], times[row[higher]]
-
-    def _peak(self, signal: int) -> tuple[float, float]:
-        return float(self._peaks[signal]), float(self._peak_times[signal])
 
     @property
     def trace(self) -> Trace:

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.signals import matching
+from orchestrator.base.signals import selected
 from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.job import Job, Options, is_late
@@ -312,12 +312,9 @@ def estimates_errors(system: System) -> bool:
 def decisive_signals(system: System, patterns: Sequence[str] = ()) -> list[str]:
     """The outputs that match; without patterns the velocities of power bonds, else all outputs."""
     names = [str(p) for p in system.ports("output") if system.variable(p).is_continuous]
-    selected = {pattern: matching(names, pattern) for pattern in patterns}
-    for pattern, matches in selected.items():
-        if not matches:
-            raise Problem(f"accuracy of {pattern}: expected continuous outputs of the system, found none")
     if patterns:
-        return [name for name in names if any(name in matches for matches in selected.values())]
+        expected = "expected continuous outputs of the system, found none"
+        return selected(names, patterns, lambda pattern: f"accuracy of {pattern}: {expected}")
     units = {bond.flow: system.variable(bond.flow).unit for bond in find_bonds(system)}
     speeds = {port for port, unit in units.items() if unit and unit.dimension in (VELOCITY, ANGULAR_VELOCITY)}
     sources = {str(c.source) for c in system.connections if c.target in speeds}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import re
 from collections.abc import Callable, Iterable, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Protocol, cast
@@ -17,7 +17,8 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.compiler import PLATFORMS, host, linker_arguments, shared_library
+from orchestrator.base import compiler
+from orchestrator.base.compiler import host, shared_library
 from orchestrator.base.errors import AtEvent, Discarded, Problem
 from orchestrator.base.units import LinearTransformation
 from orchestrator.fmi.calls import Access, Call, DirectionalDerivative, ExchangeCall, Slave
@@ -26,12 +27,6 @@ from orchestrator.fmi.instance import BoundCall, FmuInstance
 from orchestrator.fmi.messages import WARNING, Log
 
 FOLDER = Path(__file__).parent / "native"
-FLAGS = (
-    *("-std=gnu11", "-O2", "-g0", "-s", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden"),
-    *("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"),
-    "-ffp-contract=off",  # bit-identical results on each processor
-    "-mcpu=baseline",  # the cache may be shared by machines with different instruction sets
-)
 TYPES = {
     "double": ctypes.c_double,
     **{f"{u}int{n}_t": getattr(ctypes, f"c_{u}int{n}") for u in ("", "u") for n in (8, 32, 64)},
@@ -42,18 +37,7 @@ ELEMENTS = tuple(  # types of values in an FMU, in the order of the enumeration 
 EXCHANGES = {"SetTime": "SET_TIME", "CompletedIntegratorStep": "COMPLETED_STEP"}  # others: VECTOR
 
 
-def sources() -> list[str]:
-    """The C files, by name."""
-    return sorted(path.name for path in FOLDER.glob("*.c"))
-
-
-def recipe(platform: str) -> tuple[str, dict[str, bytes], list[str]]:
-    """The library for one of `PLATFORMS`, as arguments of `compiler.shared_library`."""
-    target = PLATFORMS[platform]
-    name = f"engine{target.suffix}"
-    code = {path.name: path.read_bytes() for path in FOLDER.glob("*.[ch]")}
-    linking = linker_arguments(name, target)
-    return name, code, ["-target", target.target, *FLAGS, *sources(), *linking]
+recipe = partial(compiler.recipe, "engine", FOLDER)  # for a platform
 
 
 @cache

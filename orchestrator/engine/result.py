@@ -641,22 +641,13 @@ def write_metadata(result: Result, trace: Path) -> Path:
     return write_whole(metadata_file(trace), text)
 
 
-def events_file(trace: Path) -> Path:
-    """The file with the times of the events of a run, next to its trace."""
-    return trace.with_suffix(".events.csv")
-
-
-def events_text(events: Sequence[Event]) -> str:
-    """A line for each event: its time [s] and its causes."""
-    return "".join(["time,causes\n", *(f"{e.time!r},{' '.join(e.causes)}\n" for e in events)])
-
-
 def write_events(events: Sequence[Event], trace: Path) -> None:
-    """Write the events of a run next to its trace; without any, remove those of an earlier run."""
+    """Write times [s] and causes of events next to a trace; without any, remove those of an earlier run."""
+    file = trace.with_suffix(".events.csv")
     if events:
-        write_whole(events_file(trace), events_text(events))
+        write_whole(file, "".join(["time,causes\n", *(f"{e.time!r},{' '.join(e.causes)}\n" for e in events)]))
     else:
-        events_file(trace).unlink(missing_ok=True)
+        file.unlink(missing_ok=True)
 
 
 def read_metadata(path: Path) -> RunMetadata | None:

@@ -322,12 +322,25 @@ def _tunable(variable: FmuVariable) -> bool:
 # ---- for the engine in C
 
 
+# members of `Scenario` in engine.h for continuous, discrete, integer, rate and passed inputs: columns of the
+# table, indices of the targets, factors and offsets of the maps between them; "": C needs none
+MEMBERS = (
+    ("columns", "targets", "factor", "offset"),
+    ("discrete_columns", "discrete", "discrete_factor", "discrete_offset"),
+    ("integer_columns", "integers", "integer_factor", "integer_offset"),
+    ("rate_columns", "rates", "rate_factor", ""),
+    ("passed_columns", "passed", "", ""),
+)
+COUNTS = ("count", "discrete_count", "integer_count", "rate_count", "passed_count")
+
+
 class DrivenInputs:
     """The inputs that a scenario drives, for native/scenario.c.
 
     continuous   continuous Real inputs, which follow a straight line over a step; their rate inputs have the
-                 slope at communication points, because rate outputs depend on it; discrete Real inputs, and
-                 Integer, Enumeration and Boolean inputs, keep the value of the last sample
+                 slope at communication points, because rate outputs depend on it
+    held         discrete Real inputs, and Integer, Enumeration and Boolean inputs, which keep the value of
+                 the last sample
     """
 
     def __init__(
@@ -346,27 +359,23 @@ class DrivenInputs:
         passed = [p for p, v in variables.items() if v.is_continuous and not p.component]
         discrete = [p for p, v in variables.items() if v.is_real and not v.is_continuous]
         others = [p for p, v in variables.items() if not v.is_real]
-        self.table, self.set_calls = scenario.table, set_calls
-        self.targets, self.discrete, self.integers = (
-            np.array([index[p] for p in ports], dtype=np.int64)
-            for index, ports in ((reals, self.continuous), (reals, discrete), (integers, others))
-        )
-        self.columns, self.discrete_columns, self.integer_columns = (
-            np.array([columns[p][0] for p in ports], dtype=np.int64)
-            for ports in (self.continuous, discrete, others)
-        )
-        self.passed = np.array([reals[p] for p in passed], dtype=np.int64)
-        self.passed_columns = np.array([columns[p][0] for p in passed], dtype=np.int64)
-        rates = {r: columns[p] for r, p in scenario.rates(system).items()}
-        self.rates = np.array([reals[r] for r in rates], dtype=np.int64)
-        self.rate_columns = np.array([column for column, _ in rates.values()], dtype=np.int64)
-        self.rate_factor = np.array([linear.factor for _, linear in rates.values()])
-        maps = [[columns[p][1] for p in ports] for ports in (self.continuous, discrete, others)]
-        self.factor, self.discrete_factor, factors = (np.array([m.factor for m in group]) for group in maps)
-        self.offset, self.discrete_offset, offsets = (np.array([m.offset for m in group]) for group in maps)
-        self.integer_factor, self.integer_offset = factors.astype(np.int64), offsets.astype(np.int64)
+        rates = {rate: columns[port] for rate, port in scenario.rates(system).items()}
+        self.table, self.set_calls, self.held = scenario.table, set_calls, [*discrete, *others]
         self.mapped = [(columns[p][0], integers[p], columns[p][1]) for p in others]
         self.at_end, self.at_midpoint = np.zeros(len(self.continuous)), np.zeros(len(self.continuous))
+        self._arrays, self._counts = dict[str, NDArray[Any]](), dict[str, int]()
+        groups = (self.continuous, discrete, others, rates, passed)
+        for names, count, targets in zip(MEMBERS, COUNTS, groups, strict=True):
+            index, kind = (integers, np.int64) if targets is others else (reals, np.float64)
+            sources = [rates[p] if p in rates else columns[p] for p in targets]
+            arrays = (
+                np.array([column for column, _ in sources], np.int64),
+                np.array([index[p] for p in targets], np.int64),
+                np.array([linear.factor for _, linear in sources]).astype(kind),
+                np.array([linear.offset for _, linear in sources]).astype(kind),
+            )
+            self._arrays |= {name: array for name, array in zip(names, arrays, strict=True) if name}
+            self._counts[count] = len(targets)
 
     def members(self, at: Callable[[NDArray[Any]], int], inputs: Sequence[int]) -> dict[str, int]:
         """The members of the C structure that any number of machines have in common; `at`: the address.
@@ -374,20 +383,9 @@ class DrivenInputs:
         inputs   index of each continuous input among the coupling inputs
         """
         arrays = dict(zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True))
-        names = "columns targets factor offset discrete_columns discrete discrete_factor discrete_offset"
-        names += " integer_columns integers integer_factor integer_offset rates rate_columns rate_factor"
-        names += " passed passed_columns"
-        arrays |= {name: getattr(self, name) for name in names.split()}
-        return {name: at(array) for name, array in arrays.items()} | {
-            "samples": len(arrays["time"]),
-            "width": arrays["base"].shape[1],
-            "inputs": at(np.array(inputs, np.int32)),
-            "count": len(self.continuous),
-            "discrete_count": len(self.discrete),
-            "integer_count": len(self.integers),
-            "rate_count": len(self.rates),
-            "passed_count": len(self.passed),
-        }
+        sizes = {"samples": len(arrays["time"]), "width": arrays["base"].shape[1], **self._counts}
+        arrays |= {**self._arrays, "inputs": np.array(inputs, np.int32)}
+        return {name: at(array) for name, array in arrays.items()} | sizes
 
     def fill(self, binding: Binding, inputs: Sequence[int]) -> Any:
         """Fill the C structure, and return it; inputs: index of each continuous input among all inputs."""

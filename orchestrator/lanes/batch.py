@@ -27,6 +27,7 @@ from orchestrator.engine.job import Job
 from orchestrator.engine.result import Interrupted
 from orchestrator.engine.scenario import ScenarioSource
 from orchestrator.engine.time_grid import Grid
+from orchestrator.fmi.description import Value
 from orchestrator.lanes.compiled import LANES, NotInLanes
 from orchestrator.lanes.group import Ended, Lanes, Status
 from orchestrator.lanes.many import BY_USER, Runs, in_threads
@@ -275,8 +276,7 @@ def run_machines(
 
 def _with_values(system: System, values: Mapping[Port, float]) -> System:
     """The system with other start values, in the units of the FMUs."""
-    components = dict(system.components)
+    start: dict[str, dict[str, Value]] = {name: {} for name in ("", *system.components)}
     for port, value in values.items():
-        start = {port.variable: value if system.variable(port).is_real else round(value)}
-        components[port.component] = components[port.component].with_start(start, "")
-    return replace(system, components=components)
+        start[port.component][port.variable] = value if system.variable(port).is_real else round(value)
+    return system.started(start, "")

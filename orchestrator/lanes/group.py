@@ -258,7 +258,7 @@ class Lanes:
         """Make the programs of each component, and that of an exchange."""
         h, plan = header(), self.plan
         driven = self._network.driven
-        if driven and (len(driven.discrete) or len(driven.integers)):
+        if driven and driven.held:
             raise NotInLanes("the scenario drives inputs that are not continuous")
         instructions, wires = self._exchange()
         self.wires, self.wire_count = self._array(h.Wire, wires), len(wires)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.signals import matching
+from orchestrator.base.signals import selected
 from orchestrator.engine.plant import Plant
 from orchestrator.fmi.interface import FmuInterface
 from orchestrator.ssp.system import Inlet, Port, System
@@ -89,13 +89,12 @@ def matching_outputs(system: System, patterns: Sequence[str] = ()) -> list[Port]
     """The continuous outputs that match one of the patterns; all without patterns."""
     ports = [p for p in system.ports("output") if system.variable(p).is_continuous]
     names = [str(p) for p in ports]
-    selected = {pattern: matching(names, pattern) for pattern in patterns}
-    for pattern, matches in selected.items():
-        if not matches:
-            raise Problem(
-                f"--output {pattern}: no output matches{suggest(pattern, names) or _name_list(names)}"
-            )
-    return [p for p in ports if not patterns or any(str(p) in matches for matches in selected.values())]
+
+    def missing(pattern: str) -> str:
+        return f"--output {pattern}: no output matches{suggest(pattern, names) or _name_list(names)}"
+
+    chosen = selected(names, patterns, missing)
+    return [p for p in ports if not patterns or str(p) in chosen]
 
 
 def _name_list(names: Sequence[str], kind: str = "outputs") -> str:

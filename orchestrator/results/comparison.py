@@ -12,7 +12,7 @@ import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import Seconds, seconds
-from orchestrator.base.signals import matching, span
+from orchestrator.base.signals import selected, span
 from orchestrator.base.text import brief, first_names, percentage
 from orchestrator.base.units import factor_and_offset, quantity
 from orchestrator.data.recording import Criterion, Recording, read_recording
@@ -363,13 +363,13 @@ def _common(runs: Sequence[Run], reference: Run) -> list[str]:
 
 def _chosen(runs: Sequence[Run], common: Sequence[str], patterns: Iterable[str]) -> tuple[str, ...]:
     """The signals to show."""
-    selected = {pattern: matching(common, pattern) for pattern in patterns}
-    for pattern, matches in selected.items():
-        if not matches:
-            near = suggest(pattern, common) or f"; there are {first_names(common, 3)}"
-            raise Problem(f"compare: signals {pattern}: no common signal matches{near}")
-    if selected:
-        return tuple(name for name in common if any(name in matches for matches in selected.values()))
+
+    def missing(pattern: str) -> str:
+        near = suggest(pattern, common) or f"; there are {first_names(common, 3)}"
+        return f"compare: signals {pattern}: no common signal matches{near}"
+
+    if chosen := selected(common, patterns, missing):
+        return tuple(chosen)
     units, inputs = runs[0].trace.units, {n for run in runs if run.metadata for n in run.metadata.inputs}
     outputs = [name for name in common if name not in inputs]
     default = [n for q in DEFAULT_QUANTITIES for n in outputs if quantity(units.get(n, "")) == q]

@@ -137,14 +137,14 @@ def _panel(comparison: Comparison, shown: Sequence[tuple[Run, str, Style]], name
     )
 
 
-def tables(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
-    """Each table with the lines below it."""
+def tables(comparison: Comparison) -> Iterator[Table]:
+    """All tables."""
     if any(run.metadata for run in comparison.runs):
         yield from _costs(comparison)
     yield from _different_values(comparison)
     for label in comparison.against:
-        yield _worst(comparison, label), []
-    yield from ((table, []) for table in _signals(comparison))
+        yield Table(_worst(comparison, label))
+    yield from map(Table, _signals(comparison))
 
 
 def worst_tables(comparison: Comparison) -> Iterator[TextTable]:
@@ -152,7 +152,7 @@ def worst_tables(comparison: Comparison) -> Iterator[TextTable]:
     return (typeset_table(_worst(comparison, label)) for label in comparison.against)
 
 
-def _different_values(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
+def _different_values(comparison: Comparison) -> Iterator[Table]:
     """Table of the parameters in which the runs differ, with their origins; and FMUs that differ."""
     runs, values = comparison.runs, different_values(comparison.runs)
     shown = list(values.items())[:MOST_VALUES]
@@ -164,7 +164,7 @@ def _different_values(comparison: Comparison) -> Iterator[tuple[TextTable, list[
     if others := different_fmus(runs):
         below.append(f"the FMU files of {join_words(others)} differ")
     if rows or below:
-        yield TextTable(head, rows, left=(0, 1)), below
+        yield Table(TextTable(head, rows, left=(0, 1)), below)
 
 
 def _value_cell(cell: Cell | None, unit: str) -> str:
@@ -188,7 +188,7 @@ def _notes(comparison: Comparison) -> Iterator[str]:
         yield note if len(labels) == len(comparison.against) else f"{', '.join(labels)}: {note}"
 
 
-def _costs(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
+def _costs(comparison: Comparison) -> Iterator[Table]:
     """Table of masters, steps and times of the runs, and table of the times inside each FMU."""
     runs, reference = comparison.runs, comparison.reference
     head = ["run", "master", "step", "real-time factor", "total [us/ms]", "in FMUs [us/ms]"]
@@ -197,11 +197,11 @@ def _costs(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
     swapped = {run.label: run.metadata.swapped for run in runs if run.metadata}
     swaps = [f"{n}: swapped {c} for {Path(file).stem}" for n, of in swapped.items() for c, file in of.items()]
     note = f"us/ms: computing time per simulated millisecond; relative: in FMUs, {reference.label} is 1"
-    yield TextTable(head, rows, left=(0, 1)), [*swaps, note]
+    yield Table(TextTable(head, rows, left=(0, 1)), [*swaps, note])
     inside = {run.label: _inside(run.metadata) for run in runs}
     components = list(dict.fromkeys(name for times in inside.values() for name in times))
     rows = [[label, *(number(times.get(name), 2) for name in components)] for label, times in inside.items()]
-    yield TextTable(["in each FMU [us/ms]", *components], rows), []
+    yield Table(TextTable(["in each FMU [us/ms]", *components], rows))
 
 
 def _cost(run: Run, reference: Run) -> list[str]:
@@ -312,7 +312,7 @@ def report(comparison: Comparison) -> Report:
         Text([f"warning: {text}" for text in doubts], "warn", only=TERMINAL),
         Text(doubts, "warn", only=PAGE),
         Figure(traces(comparison), "Signals that differ most", caption),
-        Section("Numbers", [Table(table, below) for table, below in tables(comparison)], only=""),
+        Section("Numbers", [*tables(comparison)], only=""),
         Text([f"note: {note}" for note in notes], only=TERMINAL),
         Section("Notes", [Text(notes, "soft")]),
         Section("Runs", [Table(_runs(comparison))], folded=True),

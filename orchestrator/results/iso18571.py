@@ -24,10 +24,6 @@ INNER, OUTER = 0.05, 0.5  # half widths of the corridors, fractions of max |T|
 SHIFT = 0.2  # largest shift, fraction of N
 WINDOW = 0.1  # largest warping of time, fraction of N
 MAGNITUDE, SLOPE = 0.5, 2.0  # errors with rating 0
-NEARLY, SMALL = (
-    1e-9,
-    1e-3,
-)  # differences of correlations, and parts of a variance, that are not computed again
 SMOOTH = 4  # samples on each side in the moving average
 
 
@@ -60,35 +56,11 @@ def _corridor(c: Array, t: Array) -> float:
 def _aligned(c: Array, t: Array) -> tuple[int, Array, Array]:
     """The smallest shift with the largest correlation [samples], and the overlapping parts of the curves."""
     largest, aligned = _correlation(c, t), (0, c, t)
-    for n in _likely_shifts(c, t):
-        a, b = (c[n:], t[:-n]) if n > 0 else (c[:n], t[-n:])  # the simulation is late, or early
-        if (correlation := _correlation(a, b)) > largest:
-            largest, aligned = correlation, (abs(n), a, b)
+    for n in range(1, int(SHIFT * len(c)) + 1):
+        for a, b in ((c[n:], t[:-n]), (c[:-n], t[n:])):  # the simulation is late, or early
+            if (correlation := _correlation(a, b)) > largest:
+                largest, aligned = correlation, (n, a, b)
     return aligned
-
-
-def _likely_shifts(c: Array, t: Array) -> list[int]:
-    """Shifts [samples] that may correlate best, small ones first, late ones before early ones.
-
-    Found from running sums, which lose digits: hence NEARLY, and all shifts are likely whose parts vary
-    by less than SMALL of the whole variance.
-    """
-    n, c, t = len(c), c - c.mean(), t - t.mean()
-    most = int(SHIFT * n)
-    late = np.maximum(shifts := np.arange(-most, most + 1), 0)
-    early, length = late - shifts, n - abs(shifts)
-
-    def sums(y: Array, first: NDArray[np.int_]) -> Array:
-        total = np.concatenate([[0.0], np.cumsum(y)])
-        return np.asarray(total[first + length] - total[first])
-
-    products = np.correlate(np.pad(c, most), t, "valid") - sums(c, late) * sums(t, early) / length
-    squares = [sums(y * y, at) - sums(y, at) ** 2 / length for y, at in ((c, late), (t, early))]
-    known = (squares[0] > SMALL * (c @ c)) & (squares[1] > SMALL * (t @ t))
-    correlations = np.where(known, products / np.sqrt(np.where(known, squares[0] * squares[1], 1.0)), np.inf)
-    largest = np.max(correlations[known], initial=-1.0)
-    likely = shifts[(correlations > largest - NEARLY) & (shifts != 0)]
-    return sorted(likely.tolist(), key=lambda n: (abs(n), n < 0))
 
 
 def _correlation(a: Array, b: Array) -> float:

@@ -19,7 +19,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
 from orchestrator.base.options import declarations
 from orchestrator.base.progress import doing
-from orchestrator.base.signals import matching, moves, rms
+from orchestrator.base.signals import moves, rms, selected
 from orchestrator.base.units import convert, factor_and_offset
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording, fill_gaps, read_recording
@@ -103,11 +103,9 @@ def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Tr
 
     also   patterns of further signals that are played, such as a measured supply pressure
     """
-    selected = {pattern: matching(reference.signals, pattern) for pattern in also}
-    for pattern, matches in selected.items():
-        if not matches:
-            names = ", ".join(reference.signals)
-            raise Problem(f"--play {pattern}: expected a signal of {reference.source}: {names}")
+    names = ", ".join(reference.signals)
+    expected = f"expected a signal of {reference.source}: {names}"
+    requested = selected(reference.signals, also, lambda pattern: f"--play {pattern}: {expected}")
     inputs = {str(p) for p in system.ports("input")}
     sources = {n for n, c in system.components.items() if not c.interface.of("input")}
     external = {str(p) for p in system.exposed}
@@ -116,10 +114,9 @@ def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Tr
     for name in reference.signals:
         # a system of one FMU has only one component
         port = name if others else str(Port(first, name.partition(".")[2]))
-        requested = any(name in matches for matches in selected.values())
-        if requested and port not in inputs:
+        if name in requested and port not in inputs:
             raise Problem(f"--play: expected an input of {system.name}, got {name}")
-        if (port not in external or name in reference.unlisted) and not requested:
+        if (port not in external or name in reference.unlisted) and name not in requested:
             continue
         unit = system.unit(system.port(port))
         target = unit.name if unit else reference.file_units.get(name, reference.units[name])

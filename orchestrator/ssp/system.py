@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.signals import matching
+from orchestrator.base.signals import selected
 from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import (
     IDENTITY,
@@ -495,15 +495,15 @@ class System:
     def without(self, *patterns: str) -> System:
         """The system without the connections whose target, such as `b.force_rate`, matches a pattern.
 
-        patterns   names and patterns, see `matching`: "*_rate" matches every input whose name ends in _rate
+        patterns   names and patterns: "*_rate" matches every input whose name ends in _rate, see `matching`
         """
         targets = [str(c.target) for c in self.connections]
-        selected = {pattern: matching(targets, pattern) for pattern in patterns}
-        for pattern, matches in selected.items():
-            if not matches:
-                hint = suggest(pattern, targets) or f"; connected are {', '.join(targets[:8]) or 'none'}"
-                raise Problem(f"cut {pattern}: no connected input matches{hint}")
-        cut = [t for t in targets if any(t in matches for matches in selected.values())]
+
+        def missing(pattern: str) -> str:
+            hint = suggest(pattern, targets) or f"; connected are {', '.join(targets[:8]) or 'none'}"
+            return f"cut {pattern}: no connected input matches{hint}"
+
+        cut = selected(targets, patterns, missing)
         kept = tuple(c for c in self.connections if str(c.target) not in cut)
         notes = (
             (f"connections removed by --cut; these inputs keep their start values: {', '.join(cut)}",)

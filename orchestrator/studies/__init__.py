@@ -6,7 +6,7 @@
     parameter_study          `harvester sweep`
     analysis, report         statistics and sensitivities of its results, and their page
     convergence              `harvester convergence`: error of each master over the communication step
-    variant_costs            `harvester variants`: cost of each variant, and its effect on the results
+    variant_costs            `harvester variants`: cost of each variant
 
 In Python: `from orchestrator.studies import Study, sweep` and the names below.
 """

@@ -164,10 +164,12 @@ def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
 @pytest.mark.parametrize("target", ["x86_64-windows-gnu", "aarch64-macos"])
 def test_the_code_compiles_for_other_systems(tmp_path, target):
     """Without a warning; headers of other systems have other names."""
-    flags = [flag for flag in c_library.FLAGS if flag != "-shared"]
-    for source in c_library.sources():
+    flags = [flag for flag in compiler.C_FLAGS if flag != "-shared"]
+    for source in c_library.FOLDER.glob("*.c"):
         command = [sys.executable, "-m", "ziglang", "cc", "-target", target, *flags, "-o", tmp_path / "a.o"]
-        done = subprocess.run([*command, "-c", source], cwd=c_library.FOLDER, capture_output=True, text=True)
+        done = subprocess.run(
+            [*command, "-c", source.name], cwd=c_library.FOLDER, capture_output=True, text=True
+        )
         assert done.returncode == 0, done.stderr
 
 
@@ -178,14 +180,20 @@ def test_the_code_compiles_for_other_systems(tmp_path, target):
 def fresh(monkeypatch, tmp_path):
     """An empty cache of compiled libraries; what is compiled are two of the files."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(c_library, "sources", lambda: ["coupling_input.c", "step_size.c"])
+
+    def two_files(platform):
+        name, code, arguments = compiler.recipe("engine", c_library.FOLDER, platform)
+        others = {file for file in code if file.endswith(".c")} - {"coupling_input.c", "step_size.c"}
+        return name, code, [argument for argument in arguments if argument not in others]
+
+    monkeypatch.setattr(c_library, "recipe", two_files)
     c_library.library.cache_clear()
     yield
     c_library.library.cache_clear()
 
 
 INSTALL = 'the package ziglang is not installed; install with: pip install "harvester-cosim[build]"'
-NO_FLAG = (c_library, "FLAGS", (*c_library.FLAGS, "-fno-such-flag"), "fno-such-flag")
+NO_FLAG = (compiler, "C_FLAGS", (*compiler.C_FLAGS, "-fno-such-flag"), "fno-such-flag")
 NO_COMPILER = (compiler, "version", Mock(side_effect=PackageNotFoundError), INSTALL)
 
 

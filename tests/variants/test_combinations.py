@@ -2,18 +2,21 @@
 
 import itertools
 import shutil
+from pathlib import Path
 
 import pytest
 from kit import shards
 from kit.any_fmu.edit import edited
+from kit.scripts import names_of
 
 from fmus.machine.parts import FAMILIES
 from fmus.machine.tables import variant_names
 from orchestrator import load
 from orchestrator.__main__ import main
 from orchestrator.base import files
-from orchestrator.studies.variant_costs import combinations
 
+DOCS = Path(__file__).parents[2] / "docs"
+combinations = names_of(DOCS / "fidelity_combinations.py")["combinations"]
 VARIANTS = {part: list(family) for part, family in FAMILIES.items()}
 ALL_COMBINATIONS = [dict(zip(VARIANTS, v, strict=True)) for v in itertools.product(*VARIANTS.values())]
 SOME = ALL_COMBINATIONS[::26]

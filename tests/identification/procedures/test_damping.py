@@ -26,7 +26,7 @@ def truth(joint):
 
 def found(record):
     """B, its standard deviation."""
-    joint = record.text_condition("joint")
+    joint = record.conditions["joint"]
     fit = fit_of(*of_joint(joint, [record], KNOWN), KNOWN)
     return fit[BY_JOINT[joint].theta], fit.sd(BY_JOINT[joint].theta)
 

@@ -53,7 +53,7 @@ def test_values_are_si_and_the_description_is_complete(csv, columns):
     np.testing.assert_allclose(found["flow"], columns["Q"] / 6e4, rtol=1e-14)
     assert math.isnan(found["pressure_in"][7])
     assert found.units == {"command": "V", "pressure_in": "Pa", "flow": "m3/s"}
-    assert (found.procedure, found.use, found.text_condition("edge")) == ("valve", "train", "P-A")
+    assert (found.procedure, found.use, found.conditions["edge"]) == ("valve", "train", "P-A")
     assert found.numeric_condition("length") == pytest.approx(4 * 0.3048, rel=1e-14, abs=0)
     sensor = found.sensor("pressure_in")
     assert (sensor.noise, sensor.resolution, sensor.low, sensor.high) == pytest.approx((1e4, 2e4, 1e5, 401e5))
@@ -112,7 +112,7 @@ def test_a_part_and_conditions_of_two_forms_are_read(csv):
     assert len(read.time) == 11  # 0.05 s at 200 Hz, both ends
     assert read.numeric_condition("density") == pytest.approx(870.0, rel=1e-12)
     assert read.numeric_condition("viscosity") == pytest.approx(0.02, rel=1e-12)
-    assert read.text_condition("note") == "70 in winter"
+    assert read.conditions["note"] == "70 in winter"
 
 
 def test_folder_has_its_experiments_only(csv):
