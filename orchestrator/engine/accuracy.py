@@ -28,7 +28,7 @@ from orchestrator.engine.refinement import Progress, estimated_error
 from orchestrator.engine.result import Result, RunEnd, RunFailed, changes
 from orchestrator.engine.sources import GOLDEN, Sources
 from orchestrator.ssp.coupling import LARGEST_STEP, Coupling, take_coupling
-from orchestrator.ssp.dependencies import influential_events, influential_inputs
+from orchestrator.ssp.dependencies import estimates_errors
 from orchestrator.ssp.masters import Master
 from orchestrator.ssp.power_bonds import ANGULAR_VELOCITY, VELOCITY, find_bonds
 from orchestrator.ssp.system import System
@@ -299,14 +299,6 @@ def fmu_tolerance(accuracy: float) -> float:
 def within(value: float, low: float, high: float) -> float:
     """The nearest value between both limits."""
     return min(max(value, low), high)
-
-
-def estimates_errors(system: System) -> bool:
-    """Do the FMUs declare what the estimate of errors during a run needs, and have no events?"""
-    wired = {connection.target.component for connection in system.connections}
-    fed = wired & {port.component for port in influential_inputs(system)}
-    linear = all(system.components[name].interface.linearisable for name in fed)
-    return bool(fed) and linear and not influential_events(system)
 
 
 def decisive_signals(system: System, patterns: Sequence[str] = ()) -> list[str]:

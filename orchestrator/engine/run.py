@@ -21,7 +21,6 @@ from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
-from orchestrator.engine.accuracy import AccuracySearch, estimates_errors
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.isolated import run_isolated, start_process
 from orchestrator.engine.job import Job, Options, begun, isolated, open_slave
@@ -40,6 +39,7 @@ from orchestrator.engine.scenario import ScenarioFile, ScenarioSource
 from orchestrator.engine.time_grid import RECORD_STEP, Grid, record_interval, step_length
 from orchestrator.engine.until import Until
 from orchestrator.ssp.coupling import take_coupling
+from orchestrator.ssp.dependencies import estimates_errors
 from orchestrator.ssp.plausible import doubts_told
 from orchestrator.ssp.system import System
 
@@ -98,7 +98,11 @@ def _co_simulated(
     keep       called with the result, its sink, and a function that raises KeyboardInterrupt if the user has
                interrupted meanwhile
     """
-    search = AccuracySearch(system, options) if "accuracy" in options else None
+    search = None
+    if "accuracy" in options:
+        from orchestrator.engine.accuracy import AccuracySearch  # not every run needs it
+
+        search = AccuracySearch(system, options)
     if isolated(options):
         start_process()
     while True:
@@ -300,5 +304,6 @@ class _Output:
 def chooses_freely(system: System, step: float | None, coupling: Mapping[str, Any] | None) -> bool:
     """May a default accuracy choose the coupling, because neither the user nor the system does?"""
     suggestion = system.suggestion
-    chosen = step is not None or coupling or suggestion.step or suggestion.coupling or suggestion.refusal
-    return not chosen and estimates_errors(system)
+    if step is not None or coupling or suggestion.step or suggestion.coupling or suggestion.refusal:
+        return False
+    return estimates_errors(system)

@@ -170,6 +170,14 @@ def influential_events(system: System) -> str:
     return first_names(f"events of {name}" for name in sources if name in having)
 
 
+def estimates_errors(system: System) -> bool:
+    """Do the FMUs declare what the estimate of errors during a run needs, and have no events?"""
+    wired = {connection.target.component for connection in system.connections}
+    fed = wired & {port.component for port in influential_inputs(system)}
+    linear = all(system.components[name].interface.linearisable for name in fed)
+    return bool(fed) and linear and not influential_events(system)
+
+
 @of_structure
 def late_effects(system: System, coupling: "Coupling") -> str:
     """The events, and signals that are not continuous, that may take effect up to a step late; or nothing.

@@ -226,7 +226,7 @@ def test_files_hold_the_arrays_and_the_names(fmus, tmp_path):
         for name, value in zip("ABCD", (linear.a, linear.b, linear.c, linear.d), strict=True):
             np.testing.assert_array_equal(stored[name], value)
     described = json.loads(names.read_text())
-    assert names.read_text().startswith('{\n "system": ')  # to read by eye: one blank for each level
+    assert names.read_text().startswith('{\n "title": ')  # to read by eye: one blank for each level
     assert [s["name"] for s in described["states"]] == [s.name for s in linear.states]
     assert len(described["modes"]) == len(linear.modes) == 2
 

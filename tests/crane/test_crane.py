@@ -13,14 +13,14 @@ from crane.rigid_bodies import bodies
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
-from kit.cranes import CRANES, EXAMPLES, changed, checked, crane, machine, solved
+from kit.cranes import CRANES, EXAMPLES, changed, checked, crane, machine, solved, told_of
 from kit.equations import Part
 from kit.mistakes import problem, table
 from kit.properties import examples
 
 from fmus.components.chain import Payload
 from fmus.contract import Quantity, nested, quantities
-from fmus.crane.axes import Capacity, capacity, lifting_moment
+from fmus.crane.axes import capacity, lifting_moment
 from fmus.crane.check import check
 from fmus.crane.check import table as text_of
 from fmus.crane.controller import controller
@@ -45,12 +45,6 @@ def at_start(crane, **parameters):
         for kind in ("force", "torque"):
             u |= {n: shown[n.replace(kind, f"holding_{kind}")] for n in of.inputs if n.endswith(f"_{kind}")}
     return dict(zip(of.states, dx, strict=True)), shown
-
-
-def told_of(crane):
-    """The text of the check, with loads of a single pose: warnings and assumptions do not depend on them."""
-    nothing = Capacity(np.zeros((1, 2)), lambda poses: np.zeros((3, *poses.shape[1:])))
-    return text_of(crane, check(crane), nothing, {})
 
 
 @table(__file__, "mistakes", "old, by, message")
@@ -202,14 +196,6 @@ def test_passive_joints_start_at_rest(pitch, roll):
     assert (abs(shown["slew_holding_torque"]) > 1e3) == (roll != 0)
 
 
-@pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed", "compensated"])
-def test_the_slewing_motor_holds_its_torque_from_the_start(variant):
-    """Its lines begin with the pressures of the torque; the motor's leakage takes less than 1e-4 in them."""
-    of, held = Part(machine().families["drives"][variant]), {"slew_holding_torque": -8e3}
-    _, shown = of(of.start(held), **held)
-    assert shown["slew_torque"] == pytest.approx(-8e3, rel=1e-4)
-
-
 def test_a_crane_on_tyres_has_its_tip(tmp_path):
     """A stiff passive joint below the slewing one changes neither radius nor height."""
     tyres = '[tyres]\naxis = "y"\nmass = 1\ninertia = [1, 1, 1]\nstiffness = 1e12\ndamping = 1e5\n'
@@ -255,113 +241,11 @@ def test_a_small_lever_is_a_warning_and_the_dead_point_ends_a_run(tmp_path):
     assert kept[of.model.statements.index(lever)] < 0
 
 
-def test_a_valve_by_its_rated_flow_passes_it(tmp_path):
-    """90 L/min at 35 bar over an edge: the area of the orifice equation; what is assumed is told."""
-    sizes = [(f", {n} = {x}", "") for n, x in (("hose_bore", '"19.05 mm"'), ("damping", '"20 kN.s/m"'))]
-    valve = 'valve = "40 mm2", hose = "3 m"', 'flow = "90 l/min", drop = "35 bar"'
-    crane = read(changed(tmp_path, valve, *sizes))
-    area = crane.joint("boom")["valve_area"]
-    assert 0.62 * area * np.sqrt(2 * 35e5 / 870) == pytest.approx(90 / 6e4, rel=1e-12)
-    told = told_of(crane)
-    assert "assumed: [boom] cylinder.damping 2e+04 N.s/m" in told
-    bore = np.sqrt(4 * 90 / 6e4 / (np.pi * 5))  # 5 m/s
-    assert f"hydraulics.hose 3 m, hydraulics.hose_bore {bore:.4g} m" in told
-
-
-def test_all_that_a_file_does_not_say_is_listed(tmp_path):
-    """Of the paper's machine pumps, engine, valves, air; of tables the keys that are missing, no others."""
-    crane = read(changed(tmp_path, ('viscosity = "0.02 Pa.s"\n', ""), ("[supply]", "[ground]\n[supply]")))
-    told = [line for line in told_of(crane).splitlines() if line.startswith("assumed: ")]
-    assert "assumed: [oil] viscosity 0.02 Pa.s" in told
-    assert "assumed: [ground] stiffness 2e+06 N/m, damping 0.5 s/m, friction 0.6" in told
-    supply = ("pump_displacement 1.13e-05 m3/rad", "engine_torque_rise 0.25", "torque_limit 385 N.m")
-    drives = ("air_share 0.005,", "valve_spool_frequency 8 Hz", "compensator_setting 1.2e+06 Pa")
-    numbers = {"supply": supply, "drives": drives}
-    of = {part: "".join(x for x in told if x.startswith(f"assumed: {part}, ")) for part in numbers}
-    assert all(f" {number}" in of[part] for part in numbers for number in numbers[part])
-    built = crane_machine(crane)
-    names = [n for sub in built.families["drives"].values() for n in values(sub).p]
-    # each parameter of the drives without a joint's name is of the file, derived from it, zero, or listed
-    rest = {n for n in names if n.partition("_")[0] not in ("slew", "boom", "jib", "extension")}
-    own = {"density", "viscosity", "bulk_modulus", "counterbalance_band"}
-    own |= {f"{valve}_pressure" for valve in ("port_relief", "relief", "counterbalance")}
-    own |= {"counterbalance_area", "counterbalance_check_area", "neutral_area"}
-    zero = {n for sub in built.families["drives"].values() for n, x in values(sub).p.items() if not x}
-    assert {n for n in rest - own - zero if f" {n} " not in of["drives"]} == set()
-
-
-SIZES = {"a laboratory arm": (0.2, 0.32, 60), "a loader": (20, 40, 215), "a shovel": (600, 900, 320)}
-
-
-@pytest.mark.parametrize(("slew", "others", "pressure"), SIZES.values(), ids=SIZES)
-def test_hydraulics_follow_the_machine(slew, others, pressure):
-    """The pump gives the two largest sections their flow; engine, dead volumes, hoses and tank follow.
-
-    Every supply meets its requirements at the start, such as that the engine turns the pump.
-    """
-    text = NEW.read_text(encoding="utf-8").replace("25 mm2", f"{slew} mm2").replace("40 mm2", f"{others} mm2")
-    own = crane_machine(read(Path("sized.toml"), text.replace("210 bar", f"{pressure} bar").encode()))
-    pump = values(own.families["supply"]["load_sensing"]).p
-    jet = 0.62 * np.sqrt(2 * 12e5 / 870)
-    flow = pump["main_pump_displacement"] * pump["engine_rated_speed"]
-    assert flow == pytest.approx(1.1 * 2 * others * 1e-6 * jet, rel=1e-6)
-    size = flow * pressure / (2.308e-5 * 261.7994 * 206.84)  # power, over that of the paper's machine
-    assert pump["engine_rated_torque"] == pytest.approx(max(433 * size, 1.0), rel=1e-6)
-    assert pump["heat_capacity"] == pytest.approx(max(6e5 * size, 1e3), rel=1e-6)
-    for sub in own.families["supply"].values():
-        of = Part(sub)
-        assert all(of.of(of.model.require)(of.start())[0] > 0)
-    drives = values(own.subsystems["drives"]).p
-    area = np.pi / 4 * drives["boom_hose_bore"] ** 2
-    assert others * 1e-6 * jet / area <= 5.0 * (1 + 1e-9)  # m/s
-
-
-def test_pump_engine_and_sections_have_keys(tmp_path):
-    """Displacement, margin, cut-off and power of the pump, the engine, flows and edges to both sides."""
-    pump = '[pump]\ndisplacement = "60 cm3/rev"\nmargin = "18 bar"\ncut_off = "200 bar"\npower = "40 kW"\n'
-    engine = '[engine]\nspeed = "2000 rpm"\npower = "45 kW"\n'
-    section = 'rod_flow = "30 L/min", head_return = "20 mm2", rod_pilot_ratio = 3, leakage'
-    text = (CRANES / "loader.toml").read_text(encoding="utf-8").partition("[pump]")[0]
-    text = text.replace("leakage", section).replace(section, "leakage", 1)  # not of the motor
-    own = crane_machine(read(tmp_path / "own.toml", (text + pump + engine).encode()))
-    found = values(own.families["supply"]["load_sensing"]).p | values(own.families["drives"]["compensated"]).p
-    speed = 2000 * TURN / 60
-    expected = {
-        **{"main_pump_displacement": 60e-6 / TURN, "margin": 18e5, "pressure_cut_off": 200e5},
-        **{"torque_limit": 40e3 / speed, "engine_rated_speed": speed, "engine_rated_torque": 45e3 / speed},
-        **{"boom_rod_section_flow": 30 / 6e4, "jib_head_return_area": 20e-6, "boom_rod_pilot_ratio": 3.0},
-    }
-    assert {n: found[n] for n in expected} == pytest.approx(expected, rel=1e-9)
-    assert found["boom_section_flow"] > 30 / 6e4
-
-
 def test_a_number_has_the_bounds_of_the_file_in_the_fmu():
     """Stroke of a piston, slope of the base, mass of a link: they are declared once."""
     known = quantities(manipulator(crane()).parameters)
     bounds = {n: (known[n].minimum, known[n].maximum) for n in ("boom_stroke", "base_pitch", "jib_mass")}
     assert bounds == {"boom_stroke": (0.01, 100), "base_pitch": (-1.5, 1.5), "jib_mass": (0, 1e6)}
-
-
-ADDED = """[boom]
-cushion = { length = "40 mm", resistance = 2e12 }
-reliefs = { pressure = "280 bar", gain = 1e-9 }
-regeneration = { area = "20 mm2" }
-"""
-
-
-def test_components_in_addition_have_keys(tmp_path):
-    """Of a cylinder and of the supply; a cushion in the drives whose lines have oil columns."""
-    gas = '[supply]\naccumulator = { volume = "5 L", precharge = "90 bar", conductance = 1e-9 }'
-    built = crane_machine(read(changed(tmp_path, ("[boom]\n", ADDED), ("[supply]", gas))))
-    drives = {v: values(sub).p for v, sub in built.families["drives"].items()}
-    shown = ("cushion_length", "reliefs_pressure", "regeneration_area", "regeneration_command")
-    assert [drives["detailed"][f"boom_{n}"] for n in shown] == pytest.approx([0.04, 2.8e7, 2e-5, 1.0])
-    told = {v for v, sub in built.families["drives"].items() if "no cushions" in sub.validity}
-    assert told == {"quasistatic", "compensated"}
-    assert all("boom_reliefs_gain" in p and "jib_reliefs_gain" not in p for p in drives.values())
-    sensing = built.families["supply"]["load_sensing"]
-    assert values(sensing).p["accumulator_volume"] == 5e-3
-    assert "accumulator_pressure" in quantities(sensing.outputs)
 
 
 def test_a_number_that_nobody_gives_is_an_error():

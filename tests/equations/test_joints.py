@@ -181,10 +181,6 @@ def test_end_stops_of_a_joint_throw_it_back():
         ('stop = "30 deg"', "expected a table, got '30 deg'"),
         ("stop = { stiffness = 1e6 }", r"\[link.stop\] at: expected"),
         ('stop = { at = "30 deg", width = 3 }', "unknown key 'width'"),
-        (
-            'joint = "prismatic"\nfriction = 5',
-            "friction: expected none of a prismatic joint: its cylinder has one",
-        ),
     ],
 )
 def test_mistakes_of_friction_and_stops(keys, message):

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.crane.axes import AxisCheck
+from fmus.crane.axes import AxisCheck, Capacity
 from fmus.crane.check import check
+from fmus.crane.check import table as text_of
 from fmus.crane.description import CraneDescription, read
 from fmus.crane.machine import crane_machine
 from fmus.machine.machine import Machine, wiring
@@ -55,3 +56,9 @@ def solved(folder: Path, name: str, stop: float, **swap: str) -> dict[str, np.nd
     commands = run(folder / f"{name}.ssp", stop=stop, record="operator_input.*")
     given = {n: commands[f"operator_input.{n}"] for n in model.inputs if f"operator_input.{n}" in commands}
     return played(model, np.asarray(commands.time), given)
+
+
+def told_of(crane: CraneDescription) -> str:
+    """The text of the check, with loads of a single pose: warnings and assumptions do not depend on them."""
+    nothing = Capacity(np.zeros((1, 2)), lambda poses: np.zeros((3, *poses.shape[1:])))
+    return text_of(crane, check(crane), nothing, {})

@@ -196,22 +196,26 @@ def _common_instants(run: Array, reference: Array, step: float) -> tuple[NDArray
     return nearest[common], common
 
 
-def from_recording(recording: Recording, patterns: Sequence[str] = ()) -> Reference:
-    """The signals of a recording that match a pattern; default: its speeds and pressures, else all."""
+def from_recording(
+    recording: Recording, patterns: Sequence[str] = (), quantities: Sequence[str] = DEFAULT_QUANTITIES
+) -> Reference:
+    """The signals of a recording that match a pattern; default: those of these quantities, else all."""
     for name, values in recording.items():
         if np.isnan(values).any():
             raise Problem(f"{recording.source}: {name}: expected a value at each time, got a gap")
     if patterns:
         return _without_rest(recording, {p: _matching(p, recording) for p in patterns})
     groups = grouped(recording, lambda n: recording.criterion(n).group or quantity(recording.units[n]))
-    return _without_rest(recording, {g: groups[g] for g in DEFAULT_QUANTITIES if g in groups} or groups)
+    return _without_rest(recording, {g: groups[g] for g in quantities if g in groups} or groups)
 
 
-def from_run(title: str, trace: Trace, patterns: Sequence[str] = ()) -> Reference:
-    """The same of a run."""
+def from_run(
+    title: str, trace: Trace, patterns: Sequence[str] = (), quantities: Sequence[str] = ()
+) -> Reference:
+    """The same of a run; default: all quantities."""
     units = {name: trace.units.get(name, "") for name in trace}
     recording = Recording(trace.time, trace.signals, units, metadata={"title": title})
-    return from_recording(recording, patterns)
+    return from_recording(recording, patterns, quantities)
 
 
 def finest_run(
@@ -227,7 +231,7 @@ def finest_run(
         _matching(pattern, outputs)
     step = min(steps) / 2
     result = run(system, scenario, master=FINEST, step=step, record=outputs, **options)
-    return from_run(f"hermite at {milliseconds(step)}", result.trace, patterns)
+    return from_run(f"hermite at {milliseconds(step)}", result.trace, patterns, DEFAULT_QUANTITIES)
 
 
 def _matching(pattern: str, names: Iterable[str]) -> list[str]:
