@@ -14,7 +14,7 @@ from kit.mistakes import problem
 from fmus.identification.balance import Regression
 from fmus.identification.procedures import damping, experiment_data, momentum_balance, rest, valve
 from fmus.identification.procedures.fit import Fit
-from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
+from fmus.identification.procedures.hoses import HOSE_RESISTANCE
 from fmus.identification.recordings.reading import take
 from fmus.parameters import Number
 from orchestrator.data.recording import Recording
