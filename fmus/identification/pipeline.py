@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from typing import NoReturn
 
 from fmus.composition import declared
 from fmus.identification import machine
@@ -244,13 +245,10 @@ def check_names(recordings: Sequence[Recording], signals: Mapping[str, Collectio
         conditions = CONDITIONS.get(procedure)
         if conditions is None:
             continue
+        read = ", ".join((*conditions, NOTE))
         for name in recording.conditions:
             if name not in (*conditions, NOTE):
-                similar = _similar(name, conditions, SIMILAR)
-                raise Problem(
-                    f"{source}: [experiment] {name}: {procedure} does not read it"
-                    + (f", expected {similar}" if similar else f"; it reads {', '.join((*conditions, NOTE))}")
-                )
+                _refuse(f"{source}: [experiment] {name}: {procedure}", _similar(name, conditions), read)
         on_machine = procedure in MACHINE_SIGNALS
         expected = of_machine if on_machine else {*signals[procedure], *UNREAD.get(procedure, ())}
         of_driving = (
@@ -266,10 +264,12 @@ def check_names(recordings: Sequence[Recording], signals: Mapping[str, Collectio
             if name not in (*expected, TEMPERATURE):
                 similar = _similar(name, expected, SIMILAR_ON_MACHINE if on_machine else SIMILAR)
                 listed = "inputs and outputs of the machine" if on_machine else ", ".join(sorted(expected))
-                raise Problem(
-                    f"{source}: signal {name}: {procedure} does not read it"
-                    + (f", expected {similar}" if similar else f"; it reads {listed} and {TEMPERATURE}")
-                )
+                _refuse(f"{source}: signal {name}: {procedure}", similar, f"{listed} and {TEMPERATURE}")
+
+
+def _refuse(unread: str, similar: str, read: str) -> NoReturn:
+    expected = f", expected {similar}" if similar else f"; it reads {read}"
+    raise Problem(f"{unread} does not read it{expected}")
 
 
 def check_units(recordings: Sequence[Recording], signals: Mapping[str, Mapping[str, str]]) -> None:
@@ -283,7 +283,7 @@ def check_units(recordings: Sequence[Recording], signals: Mapping[str, Mapping[s
         require(recording, {name: unit for name, unit in known.items() if name in recording.signals})
 
 
-def _similar(name: str, expected: Collection[str], cutoff: float) -> str:
+def _similar(name: str, expected: Collection[str], cutoff: float = SIMILAR) -> str:
     """The expected name most similar to this one, in upper or lower case, with or without its part."""
     by_last_part: dict[str, list[str]] = {}
     for candidate in sorted(expected):

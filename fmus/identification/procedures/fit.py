@@ -131,8 +131,20 @@ class Fit:
     def estimate(self, q: Quantity) -> Estimate:
         """One quantity with its interval."""
         if q.inverse:
-            return self.solution.fit.derived(q.name, q.unit, q.note, q.unknown, lambda x: q.factor / x)
-        return self.solution.fit.estimate(q.name, q.unit, q.note, q.unknown, q.factor)
+            return self.derived(q.name, q.unit, q.note, q.unknown, lambda x: q.factor / x)
+        value, sd = q.factor * self[q.unknown], abs(q.factor) * self.sd(q.unknown)
+        return Estimate.normal(q.name, value, q.unit, sd, q.note)
+
+    def derived(
+        self, name: str, unit: str, note: str, unknown: str, function: Callable[[float], float]
+    ) -> Estimate:
+        """A function of one unknown, with its standard deviation by a difference over its noise.
+
+        The interval of a positive value is that of its logarithm, so that it stays positive.
+        """
+        value, step = self[unknown], self.sd(unknown) / 10
+        sd = 5 * abs(function(value + step) - function(value - step))
+        return Estimate.normal(name, function(value), unit, sd, note, log=True)
 
     def remarks(self, wanted: Iterable[Quantity | Estimate], law: str) -> Iterator[str]:
         """What was used, which unknowns stay open, whether the law fits."""
@@ -168,14 +180,12 @@ class Fit:
         drift: Mapping[str, str],
         equal: Collection[str] = (),
         given: Sequence[Array] = (),
-        free: Sequence[str] = (),
     ) -> Iterator[Finding]:
         """Tests of zeros, delays, a drift of some unknowns, the law, and the description of the signals.
 
         drift   unknown -> words for it
         equal   unknowns that are the same in all recordings
         given   whitened columns whose effects are free in the test of a drift
-        free    tested unknowns that are free in the test of a delay
         """
         for name, words in drift.items():
             yield from self._drift(name, words, given)
@@ -183,7 +193,7 @@ class Fit:
             yield self._equal(name)
         yield from self._zeros()
         if self.delays:
-            yield self.shift(free)
+            yield self.shift()
         yield self.model()
         yield from data.signal_findings(self.recordings, self.signals, self.label)
 
@@ -227,7 +237,8 @@ class Fit:
         """For each pressure sensor and flow meter: whether the data want its zero outside its declaration."""
         for name, limit in self.solution.limits.items():
             kind = next((word for word in METERS if word in name), None)
-            value, sd = self.solution.free(name) if kind else (0.0, math.inf)
+            change, sd = self.solution.free(name) if kind else (0.0, math.inf)
+            value = self.solution.every[name] + change
             if kind and sd < UNTOLD * limit:  # else the data tell nothing about this zero
                 word, (unit, one) = METERS[kind]
                 yield Finding(
@@ -237,9 +248,13 @@ class Fit:
                     f"{sd / one:.2g} {unit}; the declared limit is {limit / one:.3g} {unit}",
                 )
 
-    def shift(self, free: Collection[str], tolerance: float = SHIFT) -> Finding:
-        """Whether some signals are late against the others, by more than `tolerance` samples."""
-        given, found = [self.solution.column(n) for n in free], list[tuple[float, float, float, str]]()
+    def shift(self, tolerance: float = SHIFT) -> Finding:
+        """Whether some signals are late against the others, by more than `tolerance` samples.
+
+        Unknowns that are not fitted are free in this test.
+        """
+        tested = [n for n in self.solution.names if n not in (*self.solution.every.names, *self.delays)]
+        given, found = [self.solution.column(n) for n in tested], list[tuple[float, float, float, str]]()
         least = tolerance / self.solution.samples[0].rate
         for name, late in self.delays.items():
             if self.late:
@@ -313,14 +328,18 @@ class Fit:
     # ---- panels --------------------------------------------------------------------------------------
 
     def line(self, panel: Panel, unknown: str, row: int = 0, per: Array | float = 1.0) -> tuple[Panel, Panel]:
-        """Data over the effect of an unknown, whose slope it is, and the residual; both `per` something."""
-        x, y = self.column(unknown, row) / per, self.residual(row) / per
+        """Data over the effect of an unknown, whose slope it is, and the residual; both `per` something.
+
+        Error bars are drawn at the residuals only: next to the line they would be too short to see.
+        """
+        x, slope = self.column(unknown, row) / per, self[unknown]
+        y, ends = slope * x + self.residual(row) / per, np.array([min(x.min(), 0.0), max(x.max(), 0.0)])
         steady = all(s.steady for s in self.solution.samples)
+        measured = Curve("measured" if steady else "measured, filtered", x, y)
         error = coverage_factor() * self.error(row) if steady else None
-        measured = Curve(
-            "measured" if steady else "measured, filtered", x, self[unknown] * x + y, error=error
-        )
-        return replace(panel, curves=(measured,)).with_line(self[unknown], "fit")
+        curves = measured, Curve("fit", ends, slope * ends, "fit", line=True)
+        left = replace(measured, y=y - slope * x, error=error)
+        return replace(panel, curves=curves), replace(panel, y_label="residual", title="", curves=(left,))
 
     def over_time(self, panel: Panel, unknown: str, k: int, known: float = 0.0) -> Iterator[Panel]:
         """One recording over time: the effect of an unknown above a known value, and the residual."""

@@ -214,7 +214,7 @@ def _of_tested(fit: Fit) -> Iterator[Estimate]:
         yield fit.estimate(Quantity(f"C_R({q:g} L/min)", UNITS["C_R"], "C_R", note, factor))
     if "viscosity" in fit.solution.fit.names:
         note = "of the tested oil over the known one, by the small flows"
-        yield fit.solution.fit.derived("viscosity ratio", "1", note, "viscosity", math.exp)
+        yield fit.derived("viscosity ratio", "1", note, "viscosity", math.exp)
 
 
 def _by_flow(fit: Fit) -> Array:

@@ -73,7 +73,6 @@ class Procedure:
     findings   (fit) -> tests besides those of all procedures
     drift      unknown -> words for it, of which a change over the experiment is tested
     given      (fit) -> whitened columns whose effects are free in that test
-    free       tested unknowns whose effects are free in the test of a delay
     equal      unknowns that are the same in all recordings
     refined    (fit, fit again with other arguments of `fitted`) -> the fit that is used
     check      (fit) -> raises Problem if the data make no sense
@@ -99,7 +98,6 @@ class Procedure:
     findings: Callable[[Fit], Iterable[Finding]] = _nothing
     drift: Mapping[str, str] = field(default_factory=dict)
     given: Callable[[Fit], Sequence[Array]] = _nothing
-    free: Sequence[str] = ()
     equal: Collection[str] = ()
     refined: Callable[[Fit, Callable[..., Fit]], Fit] = lambda fit, _: fit
     check: Callable[[Fit], object] = _nothing
@@ -123,7 +121,7 @@ def solve(d: Procedure, tests: Recordings, parameters: Parameters) -> ProcedureR
         panels=tuple(d.panels(fit)),
         remarks=(*told.remarks(wanted, d.law), *d.remarks(fit)),
         others=tuple(d.others(told)),
-        findings=(*d.findings(fit), *fit.findings(d.drift, d.equal, d.given(fit), d.free)),
+        findings=(*d.findings(fit), *fit.findings(d.drift, d.equal, d.given(fit))),
     )
 
 
@@ -168,7 +166,7 @@ def fitted(d: Procedure, recordings: Recordings, known: Any) -> Fit:
         except Problem as problem:  # as of a search that does not converge
             problems.append(problem)
             continue
-        if not late and (not delays or fit.shift(d.tested, tolerance=0.0).p > UNLIKELY):
+        if not late and (not delays or fit.shift(tolerance=0.0).p > UNLIKELY):
             return fit
         found.append(fit)
     if not found:

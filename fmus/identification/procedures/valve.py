@@ -46,7 +46,7 @@ from fmus.components.chamber import Liquid
 from fmus.components.opening_curve import POINTS
 from fmus.components.orifice import Edge
 from fmus.identification import balance
-from fmus.identification.balance import SMALLEST, UNLIKELY, Law, Normal, Samples, Solution, probability
+from fmus.identification.balance import SMALLEST, UNLIKELY, Law, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import STEP_SIGNALS, StepMeans
 from fmus.identification.procedures.fit import Fit
@@ -745,17 +745,9 @@ def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
 
 def free_offset(solution: Solution) -> tuple[float, float]:
     """`offset` by the data alone, without the priors of the two zeros."""
-    normal, names = solution.normal, list(solution.every.names)
-    k, other = (names.index(n) for n in PRESSURES)
-    kept = np.arange(len(names)) != other  # both zeros have the same effect but for its sign
-    alone = Normal(normal.columns[kept], np.where(np.arange(len(names)) == k, 0.0, normal.prior)[kept])
-    e, row = solution.residual, k - (other < k)
-    step = alone.step(e, solution.every.values[kept])
-    left = e + step @ alone.columns
-    scatter = max(1.0, float(left @ left) / max(solution.fit.freedom, 1))
-    return data.pressure_offset(solution).value + float(step[row]), math.sqrt(
-        alone.inverse[row, row] * scatter
-    )
+    # both zeros have the same effect but for its sign
+    change, sd = solution.free(PRESSURES[0], PRESSURES[1:])
+    return data.pressure_offset(solution).value + change, sd
 
 
 def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
@@ -1030,7 +1022,7 @@ def _resistances(found: ValveFit) -> Iterator[Estimate]:
     if found.common:
         note = "zero of the straight part of the opening, extrapolated"
         fitted = found.common.solution.fit
-        yield fitted.estimate("dead_band + rounding/2", "V", note, "start")
+        yield Estimate.normal("dead_band + rounding/2", fitted["start"], "V", fitted.sd("start"), note)
 
 
 # ---- remarks and panels --------------------------------------------------------------------------------
