@@ -28,8 +28,8 @@ from fmus.identification.recordings.reading import (
     TEMPERATURE,
     require,
 )
-from fmus.identification.refinement.gauss_newton import INTERRUPTED
 from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
+from fmus.identification.refinement.shooting import INTERRUPTED
 from fmus.identification.results import Estimate, Finding, ProcedureResult
 from fmus.machine.parts import FERIC
 from fmus.parameters import Number

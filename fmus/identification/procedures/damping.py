@@ -20,8 +20,15 @@ from fmus.identification import balance
 from fmus.identification.balance import Samples
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance as momentum
-from fmus.identification.procedures.fit import Fit, Quantity
-from fmus.identification.procedures.procedure import Computed, Parameters, Procedure, Recordings, solve
+from fmus.identification.procedures.procedure import (
+    Computed,
+    Fit,
+    Parameters,
+    Procedure,
+    Quantity,
+    Recordings,
+    solve,
+)
 from fmus.identification.recordings.reading import require
 from fmus.identification.results import Estimate, Finding, Panel, ProcedureResult, joined
 from orchestrator.base.errors import Problem

@@ -38,11 +38,12 @@ from fmus.components.chamber import Liquid
 from fmus.identification import balance
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import STEP_SIGNALS, parameter_value
-from fmus.identification.procedures.fit import Fit, Quantity
 from fmus.identification.procedures.procedure import (
+    Fit,
     Parameters,
     Parts,
     Procedure,
+    Quantity,
     Recordings,
     law_of,
     window_samples,

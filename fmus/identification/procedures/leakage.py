@@ -30,12 +30,14 @@ import numpy as np
 
 from fmus.identification.balance import samples_of
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures.fit import Fit, Quantity, Tested
 from fmus.identification.procedures.procedure import (
+    Fit,
     Parameters,
     Parts,
     Procedure,
+    Quantity,
     Recordings,
+    Tested,
     law_of,
     window_samples,
 )

@@ -20,8 +20,7 @@ from scipy import stats
 
 from fmus.identification.balance import probability
 from fmus.identification.procedures.experiment_data import training_recordings, zero_limit
-from fmus.identification.procedures.fit import METERS
-from fmus.identification.procedures.procedure import Computed
+from fmus.identification.procedures.procedure import METERS, Computed
 from fmus.identification.recordings.masks import in_dead_zone, standard_error
 from fmus.identification.results import Curve, Estimate, Finding, Panel, ProcedureResult
 from fmus.parameters import Number

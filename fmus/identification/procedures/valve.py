@@ -49,8 +49,7 @@ from fmus.identification import balance
 from fmus.identification.balance import SMALLEST, UNLIKELY, Law, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import STEP_SIGNALS, StepMeans
-from fmus.identification.procedures.fit import Fit
-from fmus.identification.procedures.procedure import Computed
+from fmus.identification.procedures.procedure import Computed, misfit
 from fmus.identification.recordings.masks import in_dead_zone, steady
 from fmus.identification.results import (
     BAR,
@@ -864,7 +863,7 @@ def _findings(
     yield from _zeros(recordings, found)
     # the noise of these alone is tested: commands and what was known are exact
     own = [replace(s, raw=s.raw[SCATTERED], sd=s.sd[SCATTERED]) for s in found.by_nodes.samples]
-    yield Fit("valve", recordings, STEP_SIGNALS, replace(found.by_nodes, samples=own), ()).model()
+    yield misfit("valve", replace(found.by_nodes, samples=own))
     lag, drift = (found.effects.get(name, (0.0, 0.0)) for name in EFFECTS)
     told = f"after a rising command the opening lags by {lag[0]:.2g} +- {lag[1]:.1g} V"
     yield Finding("hysteresis", probability(*lag), f"valve: {told}, against a falling one")
