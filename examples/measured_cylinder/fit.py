@@ -10,9 +10,9 @@ from axis import AXIS
 from numpy.typing import NDArray
 
 from fmus.identification.recordings.reading import add
-from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.problem import EstimationProblem, RecordingMap, free_parameters
 from fmus.identification.refinement.refine import RefinementResult, refine
+from fmus.identification.refinement.shooting import Iteration
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording

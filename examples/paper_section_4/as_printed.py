@@ -23,8 +23,9 @@ import numpy as np
 
 from fmus.components import hose
 from fmus.components.chamber import Liquid
-from fmus.identification.procedures import hose_dynamics, hose_resistance, motor_leakage
 from fmus.identification.procedures import momentum_balance as momentum
+from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
+from fmus.identification.procedures.leakage import MOTOR_LEAKAGE
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.results import Estimate
@@ -106,7 +107,7 @@ def printed(recordings: Sequence[Recording], known: Known) -> Iterator[Printed]:
         yield mean_of_means("boom_stick.stick_hose_inertance", inertances, "kg/m4")
         yield mean_of_means("boom_stick.stick_hose_capacitance", capacitances, "m3/Pa")
     if motors := by_procedure.get("motor_leakage"):
-        yield from leakages([used(r, motor_leakage.SIGNALS) for r in motors])
+        yield from leakages([used(r, MOTOR_LEAKAGE.signals) for r in motors])
     joints = by_procedure.get("damping", [])
     for joint in momentum.JOINTS:
         if sets := [r for r in joints if r.conditions["joint"] == joint]:
@@ -121,7 +122,7 @@ def used(recording: Recording, names: Mapping[str, str]) -> Array:
 
 def squares(recording: Recording) -> tuple[Array, Array]:
     """Q|Q| and the drop of (1), Fig. 6; the flow is above the dead zone of the meter."""
-    before, after, flow = used(recording, hose_resistance.SIGNALS)
+    before, after, flow = used(recording, HOSE_RESISTANCE.signals)
     return flow * np.abs(flow), before - after
 
 
@@ -131,10 +132,10 @@ def definitions(recording: Recording, known: Known) -> tuple[Array, Array]:
     One filter gives the derivatives and smooths the other signals. Ratios with a small derivative are left
     out. The noise of a derivative biases its ratio towards zero.
     """
-    rate, usable = uniform_rate(recording), good_all(recording, hose_dynamics.SIGNALS)
+    rate, usable = uniform_rate(recording), good_all(recording, HOSE_DYNAMICS.signals)
     smoothing = SavitzkyGolay(rate, max(WINDOW, 4.5 / rate))
     signal, derivative = (
-        {n: smoothing.apply(np.where(usable, recording[n], np.nan), k) for n in hose_dynamics.SIGNALS}
+        {n: smoothing.apply(np.where(usable, recording[n], np.nan), k) for n in HOSE_DYNAMICS.signals}
         for k in (0, 1)
     )
     length, bore = (recording.numeric_condition(n) for n in ("length", "diameter"))

@@ -27,7 +27,7 @@ errors of the model.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
@@ -41,7 +41,6 @@ from scipy.linalg.lapack import dtbtrs
 from scipy.signal import savgol_filter
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
-from fmus.identification.results import Estimate
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.data.recording import Mask
@@ -326,9 +325,8 @@ def linearised(s: Samples, raw: Array, theta: Array) -> Linear:
     g = np.zeros((len(s.sensors), r, s.starts.size, size + s.taps - 1))
     if s.steady:
         g[..., 0] = by_z[:, :r, s.starts]
-        return Linear(s.integral(both[:r], both[r:]), s.integral(by_theta[:, :r], by_theta[:, r:]), g)
     for (sensor, kernel), derivative in zip(s.channels, by_z, strict=True):
-        if derivative.any():
+        if derivative.any() and not s.steady:
             by_force, by_momentum = sliding_window_view(derivative, size, axis=-1)[:, s.starts].reshape(
                 2, r, s.starts.size, size
             )
@@ -515,22 +513,6 @@ class Regression:
         w = np.array([weights.get(n, 0.0) for n in self.names])
         return float(w @ self.values), math.sqrt(max(float(w @ self.covariance @ w), 0.0))
 
-    def estimate(self, name: str, unit: str, note: str, parameter: str = "", factor: float = 1.0) -> Estimate:
-        """The estimate `name`: the fitted parameter (by default of that name) times an exact factor."""
-        parameter = parameter or name
-        return Estimate.normal(name, factor * self[parameter], unit, abs(factor) * self.sd(parameter), note)
-
-    def derived(
-        self, name: str, unit: str, note: str, parameter: str, function: Callable[[float], float]
-    ) -> Estimate:
-        """A function of one parameter, with its standard deviation by a difference over its noise.
-
-        The interval of a positive value is that of its logarithm, so that it stays positive.
-        """
-        value, step = self[parameter], self.sd(parameter) / 10
-        sd = 5 * abs(function(value + step) - function(value - step))
-        return Estimate.normal(name, function(value), unit, sd, note, log=True)
-
 
 @dataclass(frozen=True)
 class Solution:
@@ -591,16 +573,21 @@ class Solution:
         value, covariance = self.effects(np.array([column, *given]))
         return float(value[0]), math.sqrt(covariance[0, 0])
 
-    def free(self, sensor: str) -> tuple[float, float]:
-        """Zero of a sensor without its own prior, and its standard deviation; the others keep theirs."""
-        row, x = self.every.names.index(sensor), self.every.values
-        if not np.any(self.normal.columns[row]):
-            return float(x[row]), math.inf
-        alone = replace(self.normal, prior=np.where(np.arange(x.size) == row, 0.0, self.normal.prior))
-        step = alone.step(self.residual, x)
-        left = self.residual + step @ self.normal.columns
+    def free(self, sensor: str, held: Collection[str] = ()) -> tuple[float, float]:
+        """Change of a sensor's zero without its own prior, and its standard deviation.
+
+        The others keep their priors; those of the sensors `held` keep their values.
+        """
+        names = [n for n in self.every.names if n not in held]
+        kept, row = [self.every.names.index(n) for n in names], names.index(sensor)
+        prior = np.where(np.arange(len(names)) == row, 0.0, self.normal.prior[kept])
+        alone = Normal(self.normal.columns[kept], prior)
+        if not np.any(alone.columns[row]):
+            return 0.0, math.inf
+        step = alone.step(self.residual, self.every.values[kept])
+        left = self.residual + step @ alone.columns
         scatter = max(1.0, float(left @ left) / max(self.fit.freedom, 1))
-        return float(x[row] + step[row]), math.sqrt(alone.inverse[row, row] * scatter)
+        return float(step[row]), math.sqrt(alone.inverse[row, row] * scatter)
 
     def by_known(self) -> Array:
         """d estimate / d known constant, shape (estimates, constants); all recordings have the same."""
@@ -686,11 +673,6 @@ def _corrected(s: Samples, x: Mapping[str, float], delays: Mapping[str, Collecti
 def limit_sd(limit: float) -> float:
     """Standard deviation of a zero that is anywhere up to a limit: that of a uniform distribution."""
     return limit / math.sqrt(3)
-
-
-def zero_limit(sd: float) -> float:
-    """The limit whose `limit_sd` is a standard deviation."""
-    return sd * math.sqrt(3)
 
 
 def probability(value: float, sd: float, tolerance: float = 0.0, *, sides: int = 2) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
 from fmus.identification.balance import limit_sd, probability
-from fmus.identification.procedures.fit import SHIFT
+from fmus.identification.procedures.procedure import SHIFT
 from fmus.identification.recordings.clock import period
 from fmus.identification.recordings.reading import MACHINE, add
 from fmus.identification.refinement.compiled_model import delay_of, zero_of

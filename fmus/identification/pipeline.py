@@ -7,17 +7,16 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from typing import NoReturn
 
 from fmus.composition import declared
 from fmus.identification import machine
 from fmus.identification.machine import Parameters, nominal, short_name, updated
 from fmus.identification.procedures import rest
 from fmus.identification.procedures.damping import DAMPING
-from fmus.identification.procedures.hose_dynamics import HOSE_DYNAMICS
-from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
-from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
+from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
+from fmus.identification.procedures.leakage import MOTOR_LEAKAGE, SEAL_LEAKAGE
 from fmus.identification.procedures.procedure import Computed, Procedure
-from fmus.identification.procedures.seal_leakage import SEAL_LEAKAGE
 from fmus.identification.procedures.valve import VALVE
 from fmus.identification.procedures.weighing import WEIGHING
 from fmus.identification.recordings.reading import (
@@ -29,8 +28,8 @@ from fmus.identification.recordings.reading import (
     TEMPERATURE,
     require,
 )
-from fmus.identification.refinement.gauss_newton import INTERRUPTED
 from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
+from fmus.identification.refinement.shooting import INTERRUPTED
 from fmus.identification.results import Estimate, Finding, ProcedureResult
 from fmus.machine.parts import FERIC
 from fmus.parameters import Number
@@ -246,13 +245,10 @@ def check_names(recordings: Sequence[Recording], signals: Mapping[str, Collectio
         conditions = CONDITIONS.get(procedure)
         if conditions is None:
             continue
+        read = ", ".join((*conditions, NOTE))
         for name in recording.conditions:
             if name not in (*conditions, NOTE):
-                similar = _similar(name, conditions, SIMILAR)
-                raise Problem(
-                    f"{source}: [experiment] {name}: {procedure} does not read it"
-                    + (f", expected {similar}" if similar else f"; it reads {', '.join((*conditions, NOTE))}")
-                )
+                _refuse(f"{source}: [experiment] {name}: {procedure}", _similar(name, conditions), read)
         on_machine = procedure in MACHINE_SIGNALS
         expected = of_machine if on_machine else {*signals[procedure], *UNREAD.get(procedure, ())}
         of_driving = (
@@ -268,10 +264,12 @@ def check_names(recordings: Sequence[Recording], signals: Mapping[str, Collectio
             if name not in (*expected, TEMPERATURE):
                 similar = _similar(name, expected, SIMILAR_ON_MACHINE if on_machine else SIMILAR)
                 listed = "inputs and outputs of the machine" if on_machine else ", ".join(sorted(expected))
-                raise Problem(
-                    f"{source}: signal {name}: {procedure} does not read it"
-                    + (f", expected {similar}" if similar else f"; it reads {listed} and {TEMPERATURE}")
-                )
+                _refuse(f"{source}: signal {name}: {procedure}", similar, f"{listed} and {TEMPERATURE}")
+
+
+def _refuse(unread: str, similar: str, read: str) -> NoReturn:
+    expected = f", expected {similar}" if similar else f"; it reads {read}"
+    raise Problem(f"{unread} does not read it{expected}")
 
 
 def check_units(recordings: Sequence[Recording], signals: Mapping[str, Mapping[str, str]]) -> None:
@@ -285,7 +283,7 @@ def check_units(recordings: Sequence[Recording], signals: Mapping[str, Mapping[s
         require(recording, {name: unit for name, unit in known.items() if name in recording.signals})
 
 
-def _similar(name: str, expected: Collection[str], cutoff: float) -> str:
+def _similar(name: str, expected: Collection[str], cutoff: float = SIMILAR) -> str:
     """The expected name most similar to this one, in upper or lower case, with or without its part."""
     by_last_part: dict[str, list[str]] = {}
     for candidate in sorted(expected):

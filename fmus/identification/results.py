@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
 from scipy import stats
 
 from fmus.parameters import Number
@@ -149,21 +148,6 @@ class Panel:
     x_unit: tuple[str, float] = ("", 1.0)
     y_unit: tuple[str, float] = ("", 1.0)
     log: bool = False
-
-    def with_line(self, slope: float, label: str) -> tuple[Panel, Panel]:
-        """The measured points with the fitted line y = slope x, and a panel of their residuals.
-
-        Error bars are drawn at the residuals only: next to the line they would be too short to see.
-        """
-        x = np.concatenate([points.x for points in self.curves])
-        ends = np.array([min(x.min(), 0.0), max(x.max(), 0.0)])
-        line = Curve(label, ends, slope * ends, "fit", line=True)
-        points = [replace(curve, error=None) for curve in self.curves]
-        residuals = [replace(curve, y=curve.y - slope * curve.x) for curve in self.curves]
-        return (
-            replace(self, curves=(*points, line)),
-            replace(self, y_label="residual", curves=tuple(residuals), title=""),
-        )
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,15 @@ from fmus.identification import balance
 from fmus.identification.balance import Samples
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance as momentum
-from fmus.identification.procedures.fit import Fit, Quantity
-from fmus.identification.procedures.procedure import Computed, Parameters, Procedure, Recordings, solve
+from fmus.identification.procedures.procedure import (
+    Computed,
+    Fit,
+    Parameters,
+    Procedure,
+    Quantity,
+    Recordings,
+    solve,
+)
 from fmus.identification.recordings.reading import require
 from fmus.identification.results import Estimate, Finding, Panel, ProcedureResult, joined
 from orchestrator.base.errors import Problem
@@ -36,29 +43,30 @@ CLEAR = 4.0  # standard deviations above which a dry friction is reported, and e
 
 @dataclass(frozen=True)
 class FrictionContact:
-    """Location of a viscous friction: its parameter, and names and units of speed and resistance."""
+    """Location of a viscous friction: parameter with unit, axes of its resistance over the speed."""
 
     parameter: str
     unit: str
-    speed: str
-    speed_unit: str
-    resistance: str
-    force_unit: str
+    panel: Panel
 
     @property
     def theta(self) -> str:
         """Name of the parameter with its part."""
         return f"manipulator.{self.parameter}"
 
+    @property
+    def force_unit(self) -> str:
+        """That of the resistance."""
+        return self.panel.y_unit[0]
+
 
 def _piston(joint: str) -> FrictionContact:
-    speed = f"speed of the {joint} piston"
-    return FrictionContact(f"{joint}_piston_damping", "N.s/m", speed, "m/s", "force of its friction", "N")
+    axes = Panel(f"speed of the {joint} piston", "force of its friction", (), joint, ("m/s", 1.0), ("N", 1.0))
+    return FrictionContact(f"{joint}_piston_damping", "N.s/m", axes)
 
 
-SWING = FrictionContact(
-    "swing_damping", "N.m.s/rad", "swing speed", "rad/s", "torque of the gear's friction", "N.m"
-)
+GEAR = Panel("swing speed", "torque of the gear's friction", (), "swing", ("rad/s", 1.0), ("N.m", 1.0))
+SWING = FrictionContact("swing_damping", "N.m.s/rad", GEAR)
 BY_JOINT = {"swing": SWING, "boom": _piston("boom"), "stick": _piston("stick")}
 
 
@@ -113,7 +121,6 @@ def of_joint(joint: str, tests: Recordings, parameters: Parameters) -> tuple[Pro
         remarks=_remarks,
         findings=_findings,
         drift={contact.theta: "B"},
-        free=(momentum.DRY, momentum.OFFSET),
     )
     return declared, moving
 
@@ -163,8 +170,7 @@ def _panels(fit: Fit) -> Iterator[Panel]:
     contact, joint, p = fit.known.contact, fit.known.joint, fit.known.p
     every = ((s, s.filtered(s.raw)) for s in fit.solution.samples)
     ratio = np.concatenate([momentum.speed_ratio(joint, z, p)[s.centres] for s, z in every])
-    units = (contact.speed_unit, 1.0), (contact.force_unit, 1.0)
-    yield from fit.line(Panel(contact.speed, contact.resistance, (), joint, *units), contact.theta, per=ratio)
+    yield from fit.line(contact.panel, contact.theta, per=ratio)
 
 
 def _findings(fit: Fit) -> Iterator[Finding]:

@@ -87,12 +87,6 @@ def stated(recording: Recording, name: str) -> float | None:
     return recording.numeric_condition(name) if name in recording.conditions else None
 
 
-def density_ratio(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> float:
-    """Density of the machine's oil over that of the tested oil; 1 if the latter is not recorded."""
-    tested = stated(recordings[0], "density")
-    return 1.0 if tested is None else parameter_value(parameters, "boom_stick.density") / tested
-
-
 def parameter(parameters: Mapping[str, Number], name: str) -> Number:
     """A parameter that the procedure takes as known."""
     if name not in parameters:

@@ -18,11 +18,9 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from fmus.identification import balance
 from fmus.identification.balance import probability
 from fmus.identification.procedures.experiment_data import training_recordings, zero_limit
-from fmus.identification.procedures.fit import METERS
-from fmus.identification.procedures.procedure import Computed
+from fmus.identification.procedures.procedure import METERS, Computed
 from fmus.identification.recordings.masks import in_dead_zone, standard_error
 from fmus.identification.results import Curve, Estimate, Finding, Panel, ProcedureResult
 from fmus.parameters import Number
@@ -33,6 +31,7 @@ SIGNALS: Mapping[str, str] = {}  # of any name; those in Pa and m3/s are read
 READ = {"Pa": METERS["pressure"], "m3/s": METERS["flow"]}
 CUT = 0.01  # share of readings at the lowest one from which on the mean is not the zero
 LARGEST = 20.0  # limits of the data sheet above which the machine was not at rest
+SPREAD = math.sqrt(3)  # limit of a zero over its standard deviation (`balance.limit_sd`)
 LOADED = "expected a reading near zero, with the pump off and all pressures relieved"
 
 
@@ -97,7 +96,9 @@ def subtracted(recordings: Sequence[Recording], result: ProcedureResult) -> list
         signals, sensors = dict(r.signals), dict(r.sensors)
         for e in (e for e in result.others if e.name in r.signals and r.procedure != "rest"):
             s, n = r.sensor(e.name), e.name
-            error = None if s.zero_error is None and "." in n else balance.zero_limit(e.sd)
+            error = (
+                None if s.zero_error is None and "." in n else e.sd * math.sqrt(3)
+            )  # its `limit_sd` is e.sd
             signals[n] = r[n] - e.value
             sensors[n] = replace(s, low=s.low - e.value, high=s.high - e.value, zero_error=error)
         corrected.append(replace(r, signals=signals, sensors=sensors))

@@ -46,11 +46,10 @@ from fmus.components.chamber import Liquid
 from fmus.components.opening_curve import POINTS
 from fmus.components.orifice import Edge
 from fmus.identification import balance
-from fmus.identification.balance import SMALLEST, UNLIKELY, Law, Normal, Samples, Solution, probability
+from fmus.identification.balance import SMALLEST, UNLIKELY, Law, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import STEP_SIGNALS, StepMeans
-from fmus.identification.procedures.fit import Fit
-from fmus.identification.procedures.procedure import Computed
+from fmus.identification.procedures.procedure import Computed, misfit
 from fmus.identification.recordings.masks import in_dead_zone, steady
 from fmus.identification.results import (
     BAR,
@@ -745,17 +744,9 @@ def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
 
 def free_offset(solution: Solution) -> tuple[float, float]:
     """`offset` by the data alone, without the priors of the two zeros."""
-    normal, names = solution.normal, list(solution.every.names)
-    k, other = (names.index(n) for n in PRESSURES)
-    kept = np.arange(len(names)) != other  # both zeros have the same effect but for its sign
-    alone = Normal(normal.columns[kept], np.where(np.arange(len(names)) == k, 0.0, normal.prior)[kept])
-    e, row = solution.residual, k - (other < k)
-    step = alone.step(e, solution.every.values[kept])
-    left = e + step @ alone.columns
-    scatter = max(1.0, float(left @ left) / max(solution.fit.freedom, 1))
-    return data.pressure_offset(solution).value + float(step[row]), math.sqrt(
-        alone.inverse[row, row] * scatter
-    )
+    # both zeros have the same effect but for its sign
+    change, sd = solution.free(PRESSURES[0], PRESSURES[1:])
+    return data.pressure_offset(solution).value + change, sd
 
 
 def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
@@ -872,7 +863,7 @@ def _findings(
     yield from _zeros(recordings, found)
     # the noise of these alone is tested: commands and what was known are exact
     own = [replace(s, raw=s.raw[SCATTERED], sd=s.sd[SCATTERED]) for s in found.by_nodes.samples]
-    yield Fit("valve", recordings, STEP_SIGNALS, replace(found.by_nodes, samples=own), ()).model()
+    yield misfit("valve", replace(found.by_nodes, samples=own))
     lag, drift = (found.effects.get(name, (0.0, 0.0)) for name in EFFECTS)
     told = f"after a rising command the opening lags by {lag[0]:.2g} +- {lag[1]:.1g} V"
     yield Finding("hysteresis", probability(*lag), f"valve: {told}, against a falling one")
@@ -1030,7 +1021,7 @@ def _resistances(found: ValveFit) -> Iterator[Estimate]:
     if found.common:
         note = "zero of the straight part of the opening, extrapolated"
         fitted = found.common.solution.fit
-        yield fitted.estimate("dead_band + rounding/2", "V", note, "start")
+        yield Estimate.normal("dead_band + rounding/2", fitted["start"], "V", fitted.sd("start"), note)
 
 
 # ---- remarks and panels --------------------------------------------------------------------------------

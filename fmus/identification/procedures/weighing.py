@@ -26,8 +26,7 @@ from fmus.identification import balance
 from fmus.identification.balance import Samples, Solution
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance as momentum
-from fmus.identification.procedures.fit import Fit, Quantity
-from fmus.identification.procedures.procedure import Parameters, Parts, Procedure, Recordings
+from fmus.identification.procedures.procedure import Fit, Parameters, Parts, Procedure, Quantity, Recordings
 from fmus.identification.results import Estimate, Panel
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording

@@ -195,7 +195,7 @@ def _sensors(procedure: str) -> Mapping[str, Sequence[str]]:
     if procedure in ("", REST, *MACHINE_SIGNALS):  # validate knows only signals of the machine
         return {unit: names for unit, names in SENSORS.items() if procedure or unit != "K"}
     require("identify", f"harvester describe --procedure {procedure}")
-    signals = import_module(f"fmus.identification.procedures.{procedure}").SIGNALS
+    signals = import_module("fmus.identification.pipeline").PROCEDURES[procedure].signals
     return {unit: [name for name, u in signals.items() if u == unit] for unit in signals.values()}
 
 

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fmus.identification.refinement.compiled_model import CompiledModel, delayed_inputs
-from fmus.identification.refinement.gauss_newton import (
+from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun
+from fmus.identification.refinement.shooting import (
     CONVERGED,
     INTERRUPTED,
     ITERATIONS,
@@ -24,10 +25,11 @@ from fmus.identification.refinement.gauss_newton import (
     TOLERANCE,
     Iteration,
     Minimum,
+    Shooting,
+    cut,
     minimise,
+    parallel,
 )
-from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun
-from fmus.identification.refinement.shooting import Shooting, cut, parallel
 from fmus.identification.refinement.statistics import (
     VAGUE,
     SimulatedRun,

@@ -23,9 +23,8 @@ from statsmodels.tsa.stattools import acf
 
 from fmus.identification.recordings.masks import autocorrelation_time, noise
 from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, delayed_inputs
-from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Minimum
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
-from fmus.identification.refinement.shooting import CondensedRun, Shooting, linearise
+from fmus.identification.refinement.shooting import LARGEST_RADIUS, CondensedRun, Minimum, Shooting, linearise
 from orchestrator.base.text import join_words
 from orchestrator.data.table import Array
 

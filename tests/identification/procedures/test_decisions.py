@@ -13,8 +13,8 @@ from kit.mistakes import problem
 
 from fmus.identification.balance import Regression
 from fmus.identification.procedures import damping, experiment_data, momentum_balance, rest, valve
-from fmus.identification.procedures.fit import Fit
-from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
+from fmus.identification.procedures.hoses import HOSE_RESISTANCE
+from fmus.identification.procedures.procedure import misfit
 from fmus.identification.recordings.reading import take
 from fmus.parameters import Number
 from orchestrator.data.recording import Recording
@@ -37,7 +37,7 @@ def test_noise_known_to_a_factor_of_two_is_no_error_of_the_model():
     """Residuals of 2 and of 3.5 times the noise; the former is what the declaration leaves open."""
     samples = SimpleNamespace(sd=np.ones((1, 1)), raw=np.ones((1, 9)))
     fits = (SimpleNamespace(fit=regression(40 * k**2), samples=[samples]) for k in (2.0, 3.5))
-    twice, more = (Fit("", (), (), solution, ()).model().p for solution in fits)
+    twice, more = (misfit("", solution).p for solution in fits)
     assert twice > 0.5
     assert more < 1e-3
 

@@ -7,8 +7,8 @@ from kit.mistakes import problem
 
 from fmus.components import hose
 from fmus.identification.balance import linearised, solve
-from fmus.identification.procedures import hose_dynamics
-from fmus.identification.procedures.hose_dynamics import HOSE_DYNAMICS
+from fmus.identification.procedures import hoses
+from fmus.identification.procedures.hoses import HOSE_DYNAMICS
 from fmus.identification.procedures.procedure import law_of, window_samples
 from fmus.identification.results import named
 
@@ -45,13 +45,13 @@ def test_intervals_have_their_coverage(results, name, truth):
 
 START = {"I": 1e7, "C": 1e-12, "C_R": bench.RESISTANCE, "R": 0.0, "s": 0.0, "r": 0.0}
 KNOWN = bench.LENGTH, bench.BORE, bench.DENSITY, bench.VISCOSITY
-HALF_WIDTH = hose_dynamics.PERIODS / float(hose.frequency_limit(bench.LENGTH, bench.DENSITY, 1.6e9))
+HALF_WIDTH = hoses.PERIODS / float(hose.frequency_limit(bench.LENGTH, bench.DENSITY, 1.6e9))
 
 
 def alone(group, half_width=HALF_WIDTH, **fixed):
     """Samples of one group, and its fit; `fixed` unknowns keep their value."""
-    law = law_of(hose_dynamics.lump, 4, hose_dynamics.UNKNOWNS, len(KNOWN))
-    samples, _ = window_samples(group, hose_dynamics.SIGNALS, law, half_width, KNOWN)
+    law = law_of(hoses.lump, 4, hoses.UNKNOWNS, len(KNOWN))
+    samples, _ = window_samples(group, hoses.MOVING, law, half_width, KNOWN)
     return samples, solve([samples], {**START, **fixed}, "hose", tested=fixed)
 
 

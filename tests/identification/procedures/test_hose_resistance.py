@@ -5,7 +5,7 @@ from identification.procedures import bench
 from kit.mistakes import problem
 
 from fmus.identification import results
-from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
+from fmus.identification.procedures.hoses import HOSE_RESISTANCE
 
 SEEDS = 30
 

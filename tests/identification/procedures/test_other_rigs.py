@@ -12,8 +12,7 @@ from kit.mistakes import problem, table
 
 from fmus.identification import results
 from fmus.identification.procedures import valve
-from fmus.identification.procedures.hose_dynamics import HOSE_DYNAMICS
-from fmus.identification.procedures.hose_resistance import HOSE_RESISTANCE
+from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
 from fmus.identification.recordings.reading import take
 from orchestrator.data.recording import Sensor
 

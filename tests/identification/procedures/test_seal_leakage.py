@@ -12,7 +12,7 @@ from kit.mistakes import problem
 from fmus.components.circuit import GROUND, TANK, Branch, Circuit, Kind, Node
 from fmus.identification import results
 from fmus.identification.pipeline import identify
-from fmus.identification.procedures.seal_leakage import SEAL_LEAKAGE
+from fmus.identification.procedures.leakage import SEAL_LEAKAGE
 from fmus.identification.recordings.reading import read_folder
 from fmus.rig import benches
 from fmus.rig.experiments import levels

@@ -12,8 +12,8 @@ from kit.mistakes import problem as problem_of
 from benchmarks.black_box import BlackBox
 from fmus.identification.recordings.reading import window
 from fmus.identification.refinement import shooting
-from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.refine import compiled, refine
+from fmus.identification.refinement.shooting import Iteration
 
 
 def distance(found) -> float:

@@ -9,9 +9,9 @@ from identification.report import samples
 from identification.report.samples import channel
 
 from fmus.identification.recordings.quality import prepared
-from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, MeasuredRun
 from fmus.identification.refinement.refine import RefinementResult, advice
+from fmus.identification.refinement.shooting import Iteration
 from fmus.identification.refinement.statistics import SimulatedRun, Statistics, Whiteness
 from fmus.identification.report.identification_page import faults, refinement
 from fmus.identification.report.prediction import compare
