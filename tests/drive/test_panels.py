@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from kit import shards
-from kit.mistakes import table
+from kit.mistakes import entry, table
 from numpy.typing import NDArray
 from view.standin import DESCRIPTION
 
@@ -199,13 +199,7 @@ def test_words_of_the_task(script: Any) -> None:
 
 RULES = json.loads(json.dumps(page_data(DESCRIPTION, None)))["task"]
 # an attempt: samples in columns by name, then the table, the phases and loads that were seen, and the file
-RUN = """(() => { const task = new m.Attempts(a.rules); task.show(true); const seen = [];
-  a.time.forEach((t, k) => {
-    if (a.restarts.includes(k)) task.again();
-    task.add(t, Object.fromEntries(Object.entries(a.columns).map(([n, v]) => [n, v[k]])));
-    seen.push([task.phase, task.load]);
-  });
-  return { table: task.table, seen, status: task.status(), csv: task.table.length && task.csv() }; })()"""
+RUN = entry(__file__, "run")
 Attempt = Callable[..., Any]
 Array = NDArray[np.float64]
 STEP, TIME = 0.01, np.arange(0, 10, 0.01)
@@ -329,11 +323,15 @@ def test_hold_without_a_break(attempt: Attempt) -> None:
         assert phases == ["ready", "holding", "moving", "holding"]
 
 
-def test_nothing_moves(attempt: Attempt) -> None:
-    """A machine that stands has no score, also inside a target."""
+def test_no_motion_and_no_supply(attempt: Attempt) -> None:
+    """A machine that stands has no score, also in a target; without a supply some figures are left out."""
     still = {name: np.full_like(values, values[-1]) for name, values in cycle().signals.items()}
     result = attempt(Trace(cycle().time, still))
     assert (result["table"], result["seen"][-1][0]) == ([], "ready")
+    trace = cycle()
+    bare = [n for n in trace.signals if not n.endswith(("pressure", "flow", "pressure_a"))]
+    (found,) = attempt(trace.select(bare))["table"]
+    assert (found["energy"], found["peak_pressure"]) == (None, None)
 
 
 def test_a_replay_is_scored_as_it_was_driven(attempt: Attempt, script: Any) -> None:
@@ -345,14 +343,6 @@ def test_a_replay_is_scored_as_it_was_driven(attempt: Attempt, script: Any) -> N
       for (const t of a.time.slice(1)) replay.show(t);
       return replay.task.table; })()"""
     assert script("recording", run, given(trace)) == attempt(trace)["table"]
-
-
-def test_what_lacks(attempt: Attempt) -> None:
-    """Without a supply or pressures those figures are left out."""
-    trace = cycle()
-    bare = [n for n in trace.signals if not n.endswith(("pressure", "flow", "pressure_a"))]
-    (found,) = attempt(trace.select(bare))["table"]
-    assert (found["energy"], found["peak_pressure"]) == (None, None)
 
 
 def bells(*centres: float, width: float = 0.5) -> Array:
