@@ -157,7 +157,7 @@ def test_a_rise_has_no_stairs(script: Any) -> None:
 
 
 def test_charts_tell_seconds_and_end(script: Any) -> None:
-    """Each label that a chart draws below its curves has its unit; closed, it is destroyed and looks no more."""
+    """Each label below the curves has its unit; charts that are closed are destroyed and look no more."""
     draw = """(async () => { (0, eval)(a.uplot); const drawn = [], ended = [];
       CanvasRenderingContext2D.prototype.fillText = (text) => drawn.push(text);
       const place = document.body.appendChild(document.createElement("div"));
