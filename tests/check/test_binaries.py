@@ -168,15 +168,11 @@ def test_a_broken_binary_is_an_error_at_hand(good: Good, target: str, severity: 
         assert {found for _, found, _ in new_findings(broken, tmp_path)} == {severity}
 
 
-def test_fmi_3_needs_the_functions_of_all_kinds(good: Good, tmp_path: Path) -> None:
-    """An FMI 3 library without the constructor of a kind that the FMU does not even offer is refused."""
+def test_what_only_fmi_3_asks_for(good: Good, tmp_path: Path) -> None:
+    """FMI 3 wants the constructors of kinds that are not offered, and documentation of other libraries."""
     ((rule, _, text),) = new_findings(flags(LACKS)(good[3], tmp_path), tmp_path)
     assert rule == "binary.functions"
     assert "fmi3InstantiateScheduledExecution" in text
-
-
-def test_foreign_libraries_must_be_documented(good: Good, tmp_path: Path) -> None:
-    """FMI 3 asks for documentation/externalDependencies when the FMU needs other libraries."""
     broken = lib(lambda b: b.add_library("libgfortran.so.5"))(good[3], tmp_path)
     found = {rule: severity for rule, severity, _ in new_findings(broken, tmp_path)}
     assert found == {"binary.libraries": "warning", "binary.documented": "error"}

@@ -73,12 +73,6 @@ def test_a_forbidden_member_is_reported(good: Good, name: str, attributes: int, 
     assert rules(path) == {rule}
 
 
-def test_a_large_file_is_noted(good: Good, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tools unpack an FMU for each model or instance; a large one is worth a note."""
-    monkeypatch.setattr("orchestrator.check.rules.archive.MAX_SIZE", 1000)
-    assert rules(good[2].write(tmp_path / "lag.fmu")) == {"contents.size"}
-
-
 def test_a_dot_in_the_path_of_a_source_is_no_fault(good: Good, tmp_path: Path) -> None:
     """OpenModelica lists its sources so."""
     listed = good[2].members[DESCRIPTION].replace(b'<File name="lag.c"/>', b'<File name="./lag.c"/>')
@@ -92,9 +86,11 @@ def test_an_fmu_of_fmi_1_gives_one_warning(good: Good, tmp_path: Path) -> None:
     assert report.title == "FMI 1.0"
 
 
-def test_another_suffix_is_reported(good: Good, tmp_path: Path) -> None:
-    """Tools open .fmu files; a .zip file is reported."""
+def test_suffix_and_size_are_noted(good: Good, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tools open .fmu files, and unpack one for each model or instance."""
     assert rules(good[2].write(tmp_path / "lag.zip")) == {"archive.suffix"}
+    monkeypatch.setattr("orchestrator.check.rules.archive.MAX_SIZE", 1000)
+    assert rules(good[2].write(tmp_path / "lag.fmu")) == {"contents.size"}
 
 
 def test_fmpy_speaks_where_no_rule_does(good: Good, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -130,15 +130,11 @@ def test_an_fmu_with_other_values_reproduces_the_same_experiment(tmp_path):
     reproduced(build(SWING, tmp_path, values=other), SWING)
 
 
-def test_what_has_no_experiment_ships_none(tmp_path):
-    """A source without states, a user's subsystem without a reference, and a variant with other variables."""
+def test_what_has_no_experiment_or_no_stimuli_ships_none(tmp_path):
+    """A source without states, no reference, other variables; the levers have no inputs, so no such file."""
     assert ls_ref_files(FERIC.components["supply"]) == {}
     assert ls_ref_files(replace(SWING, values=tmp_path / "parameters.toml")) == {}
     assert ls_ref_files(replace(SWING, outputs=SWING.states)) == {}
-
-
-def test_an_experiment_without_inputs_has_no_stimuli():
-    """The levers have no inputs: no file, and none in the experiment."""
     files = ls_ref_files(OPERATOR)
     assert f"{FOLDER}/input.csv" not in files
     assert b"Stimuli" not in files[f"{FOLDER}/experiment.exp"]

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.mistakes import entry
 
 from orchestrator.base.units import DeclaredUnit, parse_unit
 from orchestrator.linear.model import LinearModel
@@ -135,15 +136,7 @@ def test_equal_names_are_numbered_and_equal_variables_have_their_component():
     assert [m.main_states[0] for m in found] == ["lag_speed", "lag_flow", "a.x", "b.x"]
 
 
-TEXT = """\
-demo at t = 0 s: 3 states, 2 inputs, 0 outputs
-inputs: arm.force = 2.5 N, gain = 0.125
-not a steady state: oil.pump_pressure changes by 5e+03 Pa per s
-stable
-
-frequency [Hz]  damping ratio [1]  time constant [s]  mode                    states
-        0.7958              0.600             0.3333  oscillation of boom     boom_position, boom_speed
-                                                 0.5  pressure decay of pump  pump_pressure"""
+TEXT = entry(__file__, "text")
 
 
 def test_the_text_has_inputs_rates_and_modes():

@@ -108,14 +108,10 @@ def test_command_keeps_the_bar_of_the_detailed_machine(track):
     assert track(*DETAILED, "--no-compare", "--limit", "60")[0] == 0
 
 
-def test_a_longer_stick_starts_on_the_path_too(track):
-    """Where machine and controller have another length, the ride begins at its path and stays near it."""
+def test_a_longer_stick_and_a_plain_table_start_on_the_path(track, tmp_path):
+    """Another length in machine and controller; time and places alone, whose corners cost centimetres."""
     longer = [f"--set={part}.stick_length=3.3" for part in ("manipulator", "controller")]
     assert track("--path", "square", *ALONE, *longer, "--limit", "30")[0] == 0
-
-
-def test_a_plain_table_of_places_is_a_path(track, tmp_path):
-    """Time and places alone: the controller is engaged and follows; corners in it cost some centimetres."""
     path = tmp_path / "mine.csv"
     path.write_text("time,path_radius,path_height,path_angle\n0,4,1,0\n2,4,1,0\n4,4,1.5,0.1\n6,4,1.5,0.1\n")
     assert track("--path", str(path), *ALONE, "--limit", "40")[0] == 0
@@ -143,12 +139,15 @@ def test_a_missed_limit_is_reported(track, capsys):
     assert "--speed" not in told  # it is reached
 
 
-def test_a_speed_that_is_not_reached_is_told(track, capsys):
-    """On 1 m from rest to rest at 0.5 m/s2 no 20 m/s are reached: the note tells what the numbers have."""
+def test_a_speed_not_reached_and_a_load_not_carried_are_told(track, capsys):
+    """On 1 m from rest to rest at 0.5 m/s2 no 20 m/s are reached; a pump that senses loads is at standby."""
     status, told = track(*through("4,0,1", "4,1,1"), *ALONE, "--speed", "20")
     assert status == 0
     asked = told[0]["highest speed asked for [m/s]"]
     assert f"note: --speed 20: the path is too short for more than {asked:.2g} m/s" in capsys.readouterr().out
+    assert track(*through("4,0,1", "4,0,2"), "--no-compare", "--swap=supply=load_sensing")[0] == 0
+    told = capsys.readouterr().out
+    assert ": the supply pressure does not carry the load, from" in told
 
 
 def test_notes_stand_before_the_table(track, capsys):
@@ -185,13 +184,6 @@ def test_the_cause_is_the_limit_that_is_exceeded_most(uses, cause):
     """Strokes and speed act above 1, the wait above a half; the sentence tells the largest and when."""
     told = text([made(0.3, **uses)])
     assert f"made, thing: the tip is up to 0.30 m away, 0.15 m at the end: {cause}" in told
-
-
-def test_a_load_that_the_supply_does_not_carry_is_told(track, capsys):
-    """Valves without compensators stay closed at the standby of a load-sensing pump: a line says why."""
-    assert track(*through("4,0,1", "4,0,2"), "--no-compare", "--swap=supply=load_sensing")[0] == 0
-    told = capsys.readouterr().out
-    assert ": the supply pressure does not carry the load, from" in told
 
 
 def test_compensated_drives_are_the_controllers(track, capsys):

@@ -189,13 +189,6 @@ def test_size_of_the_equations_is_that_of_the_docstring():
     assert counts == pytest.approx([int(n) for n in stated.groups()], rel=0.02)
 
 
-def test_the_place_of_a_link_is_that_of_its_joint():
-    """Without a point of the link; turned by the links before it."""
-    links = (Link("slew", "revolute", "z"), Link("boom", "revolute", "-y", (0.5, 0, 2), 0))
-    place = ca.evalf(Chain(links).position(ca.SX([0.3, 0.7]), 1)).full()[:, 0]
-    assert place == pytest.approx([0.5 * math.cos(0.3), 0.5 * math.sin(0.3), 2], rel=1e-14)
-
-
 def test_telescope_slides_down_the_slope_and_outwards_as_it_turns():
     """(m1 + 4 m2) x'' = (m1 + 2 m2) g sin(pitch) + (m1 r1 + 2 m2 r2) w^2, with point masses at radii r."""
     x, w = 0.7, 1.3

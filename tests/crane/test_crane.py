@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from kit import shards
 from kit.cranes import CRANES, EXAMPLES, changed, checked, crane, machine, solved, told_of
 from kit.equations import Part
-from kit.mistakes import problem, table
+from kit.mistakes import entry, problem, table
 from kit.properties import examples
 
 from fmus.components.chain import Payload
@@ -82,19 +82,7 @@ def renamed(name):
     return read(Path("named.toml"), text.encode())
 
 
-USED = {
-    "held": "the machine has the name held_mass",
-    "relief": "the machine has the name relief_pressure",
-    "radial": "the machine has the name radial_",
-    "burst": "the machine has the name burst_",  # of FMUs with faults
-    "grip": "the machine has the name grip",
-    "lambda": "Python has it as a keyword",
-    "restrict": "C has it as a keyword",
-    "outer": "Modelica has it as a keyword",
-}
-
-
-@pytest.mark.parametrize(("name", "reason"), USED.items())
+@table(__file__, "used", "name, reason")
 def test_a_name_that_is_used_otherwise_is_refused(name, reason):
     """By the check, before the build: the beginning of a parameter or signal, a terminal, a keyword."""
     line = problem(lambda: check(renamed(name)))
@@ -280,46 +268,10 @@ def test_a_parameter_set_changes_a_crane_as_it_does_the_harvester(tmp_path):
     assert held > before > 0
 
 
-BOOM = """
-[boom]
-axis = "-y"
-at = [0, 0, "1 m"]
-mass = "100 kg"
-centre = ["1 m", 0, 0]
-inertia = [0, 30, 30]
-drive = "cylinder"
-hydraulics = { hose = "2 m", hose_bore = "20 mm", valve = "30 mm2" }
-[boom.cylinder]
-base = ["0.3 m", "-0.8 m"]
-pin = ["0.5 m", 0]
-closed = "0.6 m"
-stroke = "0.4 m"
-dead_volume = "0.3 L"
-bore = "80 mm"
-rod = "40 mm"
-[payload]
-on = "boom"
-at = ["2 m", 0, 0]
-[oil]
-bulk_modulus = "1.2 GPa"
-[supply]
-pressure = "200 bar"
-[datasheet]
-lifting_moment = "40 kN.m"
-reach = "2 m"
-loads = [["2 m", "1.5 t"]]
-"""
+BOOM = entry(__file__, "boom")
 
 
-SLIDE = """
-[slide]
-joint = "prismatic"
-axis = "x"
-mass = "50 kg"
-damping = 100
-drive = "cylinder"
-cylinder = { stroke = "1 m", bore = "50 mm", rod = "30 mm" }
-"""
+SLIDE = entry(__file__, "slide")
 
 
 def test_a_level_slide_does_not_limit_the_load():

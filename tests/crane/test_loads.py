@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kit import shards
+from kit.mistakes import entry
 from kit.planar_cranes import GRAVITY, described, draw, largest
 
 from fmus.crane.axes import capacity
@@ -50,33 +51,7 @@ def test_ranges_end_at_the_ends_of_the_strokes():
             assert (axis.low, axis.high) == pytest.approx(boom.ends, abs=1e-8)
 
 
-STEPS = """[boom]
-axis = "-y"
-at = [0, 0, 1.2]
-mass = 40
-centre = [0.9, 0, 0]
-inertia = [0, 9, 9]
-drive = "cylinder"
-cylinder = { base = [0.4, -1.1], pin = [0.6, 0], closed = 0.95, stroke = 0.45, bore = 0.16, rod = 0.09 }
-[one]
-joint = "prismatic"
-axis = "x"
-at = [2, 0, 0]
-mass = 30
-drive = "cylinder"
-cylinder = { stroke = 3, bore = 0.09, rod = 0.06 }
-[two]
-joint = "prismatic"
-axis = "x"
-mass = 20
-follows = "one"
-ratio = 1.5
-[payload]
-on = "two"
-at = [0, 0, 0]
-[supply]
-pressure = 2.4e7
-"""
+STEPS = entry(__file__, "steps")
 
 
 @pytest.mark.parametrize("reach", [2.2, 5.03, 9.0])
@@ -113,12 +88,7 @@ def test_a_radius_without_a_pose_has_no_load():
     assert re.findall(r"load at (\d+) m \[kg\] +\d+ +no pose", told) == ["1", "12"]
 
 
-SLEWED = """[slew]
-axis = "z"
-inertia = [1, 1, 1]
-drive = "motor"
-motor = { displacement = "6e-5 m3/rad", ratio = 1 }
-"""
+SLEWED = entry(__file__, "slewed")
 
 
 def test_a_slewing_motor_on_a_slope_limits_the_load():

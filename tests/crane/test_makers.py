@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from crane.rigid_bodies import bodies, mass_and_weight
 from kit.equations import Part
-from kit.mistakes import problem
+from kit.mistakes import entry, problem
 
 from fmus.contract import nested
 from fmus.crane.axes import Capacity, modes
@@ -18,50 +18,7 @@ from fmus.parameters import values
 
 # a king post turned by a cylinder, a boom on two cylinders with masses, a bucket over a linkage with masses
 # whose rod is beside the joint of its bars, on a slope
-DIGGER = """
-[post]
-axis = "AXIS"
-at = [1.0, 0.1, 0.4]
-mass = 60
-centre = [0.1, 0.02, 0.1]
-inertia = [3, 4, 3]
-drive = "cylinder"
-hydraulics = { valve = "8 mm2" }
-[post.cylinder]
-base = BASE
-pin = PIN
-closed = 0.54
-stroke = 0.12
-bore = "60 mm"
-rod = "35 mm"
-barrel_mass = 9
-rod_mass = 5
-[boom]
-axis = "-y"
-at = [0.3, -0.05, 0.2]
-mass = 150
-centre = [1.0, 0.01, 0.3]
-inertia = [4, 60, 60]
-drive = "cylinder"
-cylinder = { base = [0.1, -0.6], pin = [0.8, 0.3], closed = 0.7, stroke = 0.45, \
-bore = "60 mm", rod = "40 mm", count = 2, barrel_mass = 12, rod_mass = 8 }
-[bucket]
-axis = "-y"
-at = [2.1, 0, 0.1]
-mass = 70
-centre = [0.3, 0, -0.1]
-inertia = [4, 5, 5]
-drive = "four-bar"
-cylinder = { base = [-1.3, 0.5], closed = 0.95, stroke = 0.36, bore = "55 mm", rod = "30 mm", rod_mass = 6 }
-four_bar = { pivot = [-0.25, 0.02], rocker = 0.35, coupler = 0.36, pin = [0.05, 0.22], rod = [0.3, 0.06], \
-assembly = "above", rocker_mass = 7, coupler_mass = 4 }
-[payload]
-on = "bucket"
-at = [0.7, 0, -0.2]
-[base]
-pitch = "5 deg"
-roll = "-8 deg"
-"""
+DIGGER = entry(__file__, "digger")
 # axis -> pins of the post in the plane of its other coordinates; the same cylinder each time
 POSTS = {
     "z": ("[-0.5, 0.25]", "[0.1, 0.18]"),
@@ -161,25 +118,7 @@ def test_energy_closes_with_bars_stops_and_friction(axis):
 
     A passive slide with dry friction and stops that are not alike, and one that follows it with damping.
     """
-    slides = """[slide]
-joint = "prismatic"
-axis = "x"
-at = [0.7, 0, 0]
-mass = 20
-friction = "200 N"
-damping = 50
-stop = { from = -0.05, at = 0.2 }
-[second]
-joint = "prismatic"
-axis = "z"
-mass = 5
-follows = "slide"
-ratio = -0.5
-offset = 0.1
-damping = 300
-[payload]
-on = "second"
-"""
+    slides = entry(__file__, "slides")
     of = Part(manipulator(digger(axis, ('[payload]\non = "bucket"\n', slides))))
     stored = ("kinetic_energy", "potential_energy", "stop_energy", "elastic_energy")
     y = ca.vertcat(*(of.expressions["y"][n] for n in stored))

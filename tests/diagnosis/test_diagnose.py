@@ -205,11 +205,14 @@ def test_rows_out_of_order_are_sorted(columns, tmp_path, capsys):
     problem(lambda: trace_of(Location(file), None), "expected a time after")
 
 
-def test_of_two_rows_at_one_time_the_last_counts(tmp_path):
-    """Also if a clock was set back."""
+def test_which_readings_count(tmp_path):
+    """Of two rows at one time the last counts, of two readings of a component that behind a sensor."""
     file = tmp_path / "twice.csv"
     file.write_text("time,a\n0,1\n1,2\n1,3\n2,4\n1,9\n")
     assert readings(file)["a"].tolist() == [1, 9, 4]
+    file = tmp_path / "run.csv"
+    file.write_text("time,part.a,sensors.a_measured\n0,1,2\n1,1,3\n2,1,4\n")
+    assert _named(read_trace(file), "diagnosis", {"a"}, file)["a"].tolist() == [2, 3, 4]
 
 
 def test_missing_samples_keep_the_one_before(columns, tmp_path, capsys):
@@ -224,15 +227,11 @@ def test_missing_samples_keep_the_one_before(columns, tmp_path, capsys):
     assert "stick_angle has no values" in told
 
 
-def test_pressures_in_bar_are_told(fmu, columns, tmp_path):
-    """Without units in the file they count as Pa, which is doubted."""
+def test_pressures_in_bar_are_told_or_converted(fmu, columns, tmp_path):
+    """Without units they count as Pa, which is doubted; `supply_pressure [bar]` is the same reading."""
     bar = {n: v / 1e5 if "pressure" in n else v for n, v in columns.items()}
     found = diagnose(fmu, written(tmp_path, bar))
     assert any("did you mean" in line and "bar" in line for line in found.remarks)
-
-
-def test_pressures_with_their_unit_are_converted(fmu, columns, tmp_path):
-    """`supply_pressure [bar]` is the same reading."""
     bar = dict((f"{n} [bar]", v / 1e5) if "pressure" in n else (n, v) for n, v in columns.items())
     one, other = (diagnose(fmu, written(tmp_path, c, f"{k}.csv")) for k, c in enumerate((columns, bar)))
     for f, g in zip(one.findings, other.findings, strict=True):
@@ -352,10 +351,3 @@ def test_the_default_fmu_has_a_hint(tmp_path, columns, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["diagnose", str(written(tmp_path, columns))]) == 2
     assert "make it with: harvester build --faults" in capsys.readouterr().err
-
-
-def test_a_result_of_a_run_is_a_recording(tmp_path):
-    """Names of a component's readings, rather those behind a sensor."""
-    file = tmp_path / "run.csv"
-    file.write_text("time,part.a,sensors.a_measured\n0,1,2\n1,1,3\n2,1,4\n")
-    assert _named(read_trace(file), "diagnosis", {"a"}, file)["a"].tolist() == [2, 3, 4]

@@ -109,15 +109,11 @@ def test_the_reference_is_complete(pages):
         assert [name for name in names if anchors.count(name) != 1] == []
 
 
-def test_two_columns_of_a_docstring_are_a_table(pages):
-    """What `run` says of its arguments stands in a table, with continued lines."""
+def test_tables_of_docstrings_and_equations(pages):
+    """What `run` says of its arguments, with continued lines; the browser itself sets formulas."""
     rows = pages["docs/reference/api/running.html"].xpath("//tr[td[1]//code='step']/td[2]")
     assert "Communication step [s]" in rows[0].text_content()
     assert "1e-3" in rows[0].text_content()
-
-
-def test_equations_are_mathml(pages):
-    """Formulas are typeset by the browser itself, without a script."""
     assert len(pages["docs/equations.html"].xpath("//*[local-name()='math']")) > 20
     for name, page in pages.items():
         assert "\\frac" not in page.xpath("string(//article)"), name

@@ -13,7 +13,7 @@ import pytest
 from kit import shards
 from kit.driven_page import PAD
 from kit.equations import Part
-from kit.mistakes import problem, table
+from kit.mistakes import entry, problem, table
 from kit.wait import LONG, until
 from view.standin import Server, serving
 
@@ -191,14 +191,7 @@ def test_wheels_by_hand(opened: tuple[Server, Any]) -> None:
     assert until(lambda: commanded(server) == {})
 
 
-SHOWN = """(() => { const rig = new m.Rig({}, a.machine, "#000"); return a.values.map((row) => {
-  rig.show(row, {}, true);
-  const [group] = rig.bodies.get("grapple");
-  group.updateMatrixWorld(true);
-  const solid = group.children[0].geometry.clone().applyMatrix4(group.matrixWorld);
-  solid.computeBoundingBox();
-  const { min, max } = solid.boundingBox;
-  return [group.children.length, min.toArray(), max.toArray()]; }); })()"""
+SHOWN = entry(__file__, "shown")
 
 
 @shards.browser

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from kit import shards
-from kit.mistakes import table
+from kit.mistakes import entry, table
 from numpy.typing import NDArray
 from view.standin import DESCRIPTION
 
@@ -156,32 +156,23 @@ def test_a_rise_has_no_stairs(script: Any) -> None:
         assert found["columns"]["a"] == pytest.approx([10 + t for t in found["time"]], abs=1e-9)  # rounding
 
 
-def test_the_axis_of_time_is_in_seconds(script: Any) -> None:
-    """Each label that a chart draws below its curves has its unit."""
-    draw = """(async () => { (0, eval)(a.uplot); const drawn = [];
+def test_charts_tell_seconds_and_end(script: Any) -> None:
+    """Each label below the curves has its unit; charts that are closed are destroyed and look no more."""
+    draw = """(async () => { (0, eval)(a.uplot); const drawn = [], ended = [];
       CanvasRenderingContext2D.prototype.fillText = (text) => drawn.push(text);
       const place = document.body.appendChild(document.createElement("div"));
       const charts = new m.Charts(place, a.charts.slice(0, 1), new Set([a.name]));
       charts.show({ time: [-1, 0], columns: { [a.name]: [0, 1e6] } });
-      await new Promise((done) => setTimeout(done, 100)); place.remove();
-      return [...new Set(drawn)]; })()"""
-    given = {"uplot": libraries()["uplot"], "charts": DATA["charts"], "name": "boom_head_pressure"}
-    labels = set(script("charts", draw, given))
-    assert labels >= {"\N{MINUS SIGN}20 s", "\N{MINUS SIGN}10 s", "0 s"}
-
-
-def test_charts_end(script: Any) -> None:
-    """Charts that are closed are destroyed, and look at their size no more."""
-    draw = """(() => { (0, eval)(a.uplot); const ended = [];
-      const place = document.body.appendChild(document.createElement("div"));
-      const charts = new m.Charts(place, a.charts.slice(0, 1), new Set([a.name]));
+      await new Promise((done) => setTimeout(done, 100));
       const [one] = charts.charts;
       one.plot.hooks.destroy = [() => ended.push("plot")];
       one.observer.disconnect = () => ended.push("observer");
       charts.close(); place.remove();
-      return ended.sort(); })()"""
+      return { drawn, ended: ended.sort() }; })()"""
     given = {"uplot": libraries()["uplot"], "charts": DATA["charts"], "name": "boom_head_pressure"}
-    assert script("charts", draw, given) == ["observer", "plot"]
+    found = script("charts", draw, given)
+    assert set(found["drawn"]) >= {"\N{MINUS SIGN}20 s", "\N{MINUS SIGN}10 s", "0 s"}
+    assert found["ended"] == ["observer", "plot"]
 
 
 def test_words_of_the_task(script: Any) -> None:
@@ -199,13 +190,7 @@ def test_words_of_the_task(script: Any) -> None:
 
 RULES = json.loads(json.dumps(page_data(DESCRIPTION, None)))["task"]
 # an attempt: samples in columns by name, then the table, the phases and loads that were seen, and the file
-RUN = """(() => { const task = new m.Attempts(a.rules); task.show(true); const seen = [];
-  a.time.forEach((t, k) => {
-    if (a.restarts.includes(k)) task.again();
-    task.add(t, Object.fromEntries(Object.entries(a.columns).map(([n, v]) => [n, v[k]])));
-    seen.push([task.phase, task.load]);
-  });
-  return { table: task.table, seen, status: task.status(), csv: task.table.length && task.csv() }; })()"""
+RUN = entry(__file__, "run")
 Attempt = Callable[..., Any]
 Array = NDArray[np.float64]
 STEP, TIME = 0.01, np.arange(0, 10, 0.01)
@@ -329,11 +314,15 @@ def test_hold_without_a_break(attempt: Attempt) -> None:
         assert phases == ["ready", "holding", "moving", "holding"]
 
 
-def test_nothing_moves(attempt: Attempt) -> None:
-    """A machine that stands has no score, also inside a target."""
+def test_no_motion_and_no_supply(attempt: Attempt) -> None:
+    """A machine that stands has no score, also in a target; without a supply some figures are left out."""
     still = {name: np.full_like(values, values[-1]) for name, values in cycle().signals.items()}
     result = attempt(Trace(cycle().time, still))
     assert (result["table"], result["seen"][-1][0]) == ([], "ready")
+    trace = cycle()
+    bare = [n for n in trace.signals if not n.endswith(("pressure", "flow", "pressure_a"))]
+    (found,) = attempt(trace.select(bare))["table"]
+    assert (found["energy"], found["peak_pressure"]) == (None, None)
 
 
 def test_a_replay_is_scored_as_it_was_driven(attempt: Attempt, script: Any) -> None:
@@ -345,14 +334,6 @@ def test_a_replay_is_scored_as_it_was_driven(attempt: Attempt, script: Any) -> N
       for (const t of a.time.slice(1)) replay.show(t);
       return replay.task.table; })()"""
     assert script("recording", run, given(trace)) == attempt(trace)["table"]
-
-
-def test_what_lacks(attempt: Attempt) -> None:
-    """Without a supply or pressures those figures are left out."""
-    trace = cycle()
-    bare = [n for n in trace.signals if not n.endswith(("pressure", "flow", "pressure_a"))]
-    (found,) = attempt(trace.select(bare))["table"]
-    assert (found["energy"], found["peak_pressure"]) == (None, None)
 
 
 def bells(*centres: float, width: float = 0.5) -> Array:

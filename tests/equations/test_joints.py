@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from kit.equations import Part
-from kit.mistakes import problem
+from kit.mistakes import entry, problem, table
 from scipy.integrate import solve_ivp
 
 from fmus.components.chain import Link, Payload
@@ -18,20 +18,7 @@ from fmus.joints import JointModel, Mechanics
 from fmus.manipulator.variables import ManipulatorInputs, ManipulatorState
 
 G, LENGTH, MASS, CART = 9.81, 0.8, 120.0, 300.0
-PENDULUM = """
-title = "Pendulum"
-[link]
-axis = "-y"
-mass = 0
-inertia = [1, 1, 0]
-{}
-[payload]
-on = "link"
-at = [0, 0, -2]
-mass = 100
-[start]
-link = {}
-"""
+PENDULUM = entry(__file__, "pendulum")
 
 
 class Inputs(Group):
@@ -174,15 +161,7 @@ def test_end_stops_of_a_joint_throw_it_back():
     assert max(abs(s["link_stop_torque"]) for s in shown) > 1e4
 
 
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ('friction = "5 N"', "friction: expected a number in N.m"),
-        ('stop = "30 deg"', "expected a table, got '30 deg'"),
-        ("stop = { stiffness = 1e6 }", r"\[link.stop\] at: expected"),
-        ('stop = { at = "30 deg", width = 3 }', "unknown key 'width'"),
-    ],
-)
+@table(__file__, "mistakes", "keys, message")
 def test_mistakes_of_friction_and_stops(keys, message):
     """One line each."""
     problem(lambda: crane(keys), message)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from kit.equations import Part
 from kit.fmu import driving
-from kit.mistakes import problem, table
+from kit.mistakes import entry, problem, table
 
 from fmus import boom_stick, swing
 from fmus.contract import quantities, symbolic
@@ -164,13 +164,7 @@ def test_a_broken_file_is_refused_in_one_line(tmp_path, text, message):
     assert str(path) in problem(lambda: read(path), message)
 
 
-TABLE = """
-[parameters.{name}]
-value = {value}
-unit = "V"
-source = "assumed"
-note = "a list of a test"
-"""
+TABLE = entry(__file__, "table")
 
 
 def test_a_list_replaces_all_entries(tmp_path):

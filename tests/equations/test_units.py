@@ -120,15 +120,11 @@ def test_unknown_unit_is_refused(unit: str) -> None:
     assert problem(lambda: units.parse_unit(unit, "file")).startswith(expected)
 
 
-def test_a_unit_of_one_wrong_letter_gets_a_proposal() -> None:
-    """The nearest known unit is named."""
+def test_wrong_units_are_refused() -> None:
+    """The nearest known unit is proposed; units of other quantities cannot be converted."""
     assert "; did you mean bar" in problem(lambda: units.parse_unit("barr"))
     # a degree in German, not 1e9 rad
     assert problem(lambda: units.parse_unit("Grad")).endswith("; did you mean deg?")
-
-
-def test_wrong_quantity_is_refused() -> None:
-    """Units of different quantities cannot be converted, a frequency is no angular speed."""
     with pytest.raises(Problem, match="boom: unit 'bar' cannot be converted, expected a unit like 'rad'"):
         units.factor_and_offset("bar", "rad", "boom")
     problem(lambda: units.factor_and_offset("Hz", "rad/s", "x"), "'Hz' cannot be converted")

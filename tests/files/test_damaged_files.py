@@ -8,7 +8,6 @@ import os
 import sys
 import tempfile
 import time
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -18,6 +17,7 @@ import pytest
 from check.good import BUILD, DESCRIPTION, TERMINALS, XML_2, XML_3
 from files.damage import damaged
 from kit import shards
+from kit.any_fmu.description import packed
 from kit.any_fmu.models import Workshop
 
 from fmus.machine.build import VIEW
@@ -43,25 +43,17 @@ OUTER, INNER, START, MAPPING = (
 Good = Mapping[str, bytes]
 
 
-def packed(members: Good) -> bytes:
-    """An archive of these members."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in members.items():
-            archive.writestr(name, data)
-    return buffer.getvalue()
-
-
 def good_system(gain: Path) -> Good:
     """An SSP with all that the reader reads."""
     fmu = {"resources/gain.fmu": gain.read_bytes()}
+    inner = packed(io.BytesIO(), {"SystemStructure.ssd": INNER.encode(), **fmu})
     return {
         "SystemStructure.ssd": OUTER.encode(),
         "other.ssd": INNER.encode(),
         **fmu,
         "resources/start.ssv": START.encode(),
         "resources/names.ssm": MAPPING.encode(),
-        "resources/inner.ssp": packed({"SystemStructure.ssd": INNER.encode(), **fmu}),
+        "resources/inner.ssp": inner.getvalue(),
     }
 
 
@@ -208,8 +200,8 @@ def faults(kind: str, good: Mapping[str, Good], seeds: range, folder: Path, syst
 def system(good: Mapping[str, Good], tmp_path_factory: pytest.TempPathFactory) -> System:
     """A good system, into which FMUs are swapped; reading it imports what tests of writes must not see."""
     folder = tmp_path_factory.mktemp("system")
-    (folder / "good.ssp").write_bytes(packed(good["ssp"]))
-    (folder / "good.fmu").write_bytes(packed(good["fmi2"]))
+    packed(folder / "good.ssp", good["ssp"])
+    packed(folder / "good.fmu", good["fmi2"])
     system = load(folder / "good.ssp")
     used(system)
     checked(folder / "good.fmu")

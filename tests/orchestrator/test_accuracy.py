@@ -321,13 +321,9 @@ def test_the_machine_is_as_accurate_as_asked(fmu_dir, asked, variants):
 
 
 def test_an_unstable_first_run_is_repeated(open_oscillator, exact, monkeypatch):
-    """A first step beyond the limit of stability is followed by shorter ones, until the accuracy holds."""
+    """A first step beyond the limit of stability is followed by shorter ones, up to so many runs."""
     monkeypatch.setattr(accuracy_search, "FIRST", ((0.0, Coupling("jacobi"), 1000),))
     assert " in run " in accurate(open_oscillator, exact, 1e-3).notes[-1]
-
-
-def test_too_many_runs(open_oscillator, monkeypatch):
-    """If no run is accurate enough, the last error is told."""
     monkeypatch.setattr(accuracy_search, "MOST_RUNS", 1)
     monkeypatch.setattr(accuracy_search, "FIRST", ((0.0, Coupling("gauss-seidel"), 50),))
     told = r"accuracy 1e-06: not reached: .* with gauss-seidel, a step of 0.05 s; after 1 runs"

@@ -216,16 +216,12 @@ def test_a_variant_in_a_package(fmus, zip_ssp):
     problem(lambda: load(zip_ssp(ssd(system([gone], [])), {"i.ssp": inner})), r"Var\.ssd is missing")
 
 
-def test_elements_of_no_ssp_get_a_note(around):
-    """With file and line; those inside of annotations do not."""
+def test_what_is_odd_but_allowed_gets_a_note(around, fmus):
+    """An element of no SSP outside of annotations; a wire to a parameter, which may be meant for an input."""
     inside = "<ssd:Annotations><ssc:Annotation type='x'><a/></ssc:Annotation></ssd:Annotations>"
     odd = gain("a", source="g.fmu").replace("<ssd:Connectors>", "<ssd:Banana/><ssd:Connectors>")
     (note,) = load(around([odd], [], "", inside)).notes
     assert note.endswith("SystemStructure.ssd: line 8: Banana: left out, no element of SSP")
-
-
-def test_a_connection_to_a_parameter_is_noted(fmus):
-    """FMI and SSP allow it; a user may have meant an input."""
     parts = {"a": fmus["gain"], "b": fmus["gain"]}
     assert assemble(parts, ["a.y -> b.u"]).notes == ()
     (note,) = assemble(parts, ["a.y -> b.factor"]).notes

@@ -5,11 +5,11 @@ import gzip
 import io
 import signal
 import struct
-import zipfile
 
 import numpy as np
 import pytest
 from asammdf import MDF, Signal
+from kit.any_fmu.description import packed
 from kit.mistakes import problem
 from nptdms import ChannelObject, TdmsWriter
 
@@ -126,13 +126,7 @@ def test_a_log_drives_a_run(built, tmp_path):
     np.testing.assert_allclose(result["boom_command"], result.time, atol=1e-12)  # a ramp, rounding
 
 
-def zipped(name):
-    data = io.BytesIO()
-    with zipfile.ZipFile(data, "w") as archive:
-        archive.writestr(name, "a")
-    return data.getvalue()
-
-
+EXCEL, ZIP = (packed(io.BytesIO(), {n: "a"}).getvalue() for n in ("[Content_Types].xml", "log.csv"))
 DIADEM = "a header of DIAdem: export its channels"
 FOREIGN = {
     "log.mcap": (b"\x89MCAP0\r\n\x01" + bytes(90), "MCAP: export its topics as CSV"),
@@ -146,12 +140,12 @@ FOREIGN = {
     "log.txt": (b"  can1  18FEF100   [8]  00 11 22 33 44 55 66 77\n", "candump: decode it"),
     "log.trc": (b";$FILEVERSION=1.1\r\n", "a PCAN trace: decode it"),
     "log.dat": (b"MDF     3.30    TGT 15.0" + bytes(200), "MDF 3: save it as MDF 4, such as by asammdf"),
-    "log.xlsx": (zipped("[Content_Types].xml"), "Excel: save the sheet as CSV"),
+    "log.xlsx": (EXCEL, "Excel: save the sheet as CSV"),
     "log.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(90), "Excel: save the sheet as CSV"),
     "plot.csv": (b"\x89PNG\r\n\x1a\n" + bytes(90), "a picture or a PDF: export its values as CSV"),
     "log.tdm": (b'<?xml version="1.0"?>\n<usi:tdm xmlns:usi="x" version="1.0">', DIADEM),
     "dia.dat": (b"DIAEXTENDED  {@:ENGLISH\n\n#BEGINGLOBALHEADER\n", DIADEM),
-    "log.zip": (zipped("log.csv"), "an archive: unpack it"),
+    "log.zip": (ZIP, "an archive: unpack it"),
     "log.csv.gz": (gzip.compress(b"time,x\n0,1\n1,2\n"), "an archive: unpack it"),
     "log.csv": (b"PAR1\x15\x04" + bytes(90), "Parquet: name it .parquet"),
 }

@@ -278,9 +278,12 @@ def test_first_and_last_point_are_always_kept(oscillator, step, interval, stop, 
 
 
 def test_a_run_may_record_nothing(oscillator):
-    """It ends, with its card and an empty trace."""
+    """It ends with its card, whose steps and energies do not depend on what is recorded."""
     result = run(oscillator, record=[], step=1e-2, stop=0.1, isolate=False)
     assert (result.card.steps, dict(result.trace.signals)) == (10, {})
+    whole, thin = (run(oscillator, step=1e-2, stop=2.0, record_step=r).card for r in (None, 0.1))
+    assert (thin.steps, thin.simulated, thin.bonds) == (whole.steps, whole.simulated, whole.bonds)
+    assert (whole.record_step, thin.record_step) == (0.01, 0.1)
 
 
 def test_other_kinds_of_numbers_are_kept_too(fmus):
@@ -294,13 +297,6 @@ def test_an_interval_that_is_no_multiple_is_refused(oscillator, record_step):
     """Between two steps there is nothing to record."""
     message = problem(lambda: run(oscillator, step=0.01, stop=1.0, record_step=record_step))
     assert message == f"record step: expected a multiple of the step 0.01 s, got {record_step:g} s"
-
-
-def test_the_card_sees_every_step(oscillator):
-    """Steps and energies do not depend on what is recorded."""
-    whole, thin = (run(oscillator, step=1e-2, stop=2.0, record_step=r).card for r in (None, 0.1))
-    assert (thin.steps, thin.simulated, thin.bonds) == (whole.steps, whole.simulated, whole.bonds)
-    assert (whole.record_step, thin.record_step) == (0.01, 0.1)
 
 
 @pytest.mark.parametrize(("every", "steps"), [(1, 2000), (4, 2000), (5, 2003)])

@@ -12,6 +12,7 @@ from kit import shards
 from kit.any_fmu.models import RAMP
 from kit.compile import library
 from kit.fmu import in_new_process
+from kit.mistakes import entry
 from kit.plain_jacobi import plain_jacobi
 from kit.shards import few, thinned
 
@@ -227,35 +228,8 @@ def test_the_library_is_compiled_once(monkeypatch):
 
 # ---- long runs, in a process of their own
 
-START = """
-import sys, threading, signal
-from kit.any_fmu.outcome import OPENERS
-from orchestrator import Interrupted, assemble, run
-from orchestrator.ssp.coupling import Coupling
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have switched it off
-system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "b.x -> a.x2"])
-"""
-LONG = """
-from orchestrator.engine import simulation_loop
-simulation_loop.MIN_SAVING = float(sys.argv[5])
-if len(sys.argv) > 7:
-    system = assemble({"talks": sys.argv[7]}, [], {"talks.when": 0.0, "talks.how": 9, "talks.where": -1})
-main = threading.main_thread().ident
-def interrupt():
-    if sys.platform == "win32":
-        signal.raise_signal(signal.SIGINT)
-    else:
-        signal.pthread_kill(main, signal.SIGINT)
-threading.Timer(float(sys.argv[6]), interrupt).start()
-try:
-    opener = OPENERS[bool(int(sys.argv[4]))]
-    run(system, master=sys.argv[3], step=1e-3, stop=1e7, record_step=1.0, open=opener)
-except Interrupted as interrupted:
-    trace = interrupted.result.trace
-    print(len(trace.time), trace.time[-1], interrupted.result.card.steps, interrupted.result.complete)
-except KeyboardInterrupt:
-    print(0, 0, 0, "before the run")
-"""
+START = entry(__file__, "start")
+LONG = entry(__file__, "long")
 
 
 def interrupted(*arguments, talker=(), steps=1000):
@@ -294,24 +268,7 @@ def test_ctrl_c_is_not_lost_in_the_messages_of_an_fmu(fmus, moving, in_c):
     assert complete == "False"
 
 
-GROWTH = """
-import os
-import numpy as np
-from orchestrator.engine import run as runs
-sizes, looks = np.ones(100_000, int), 0
-class Scale(runs.ProgressBar):
-    def update(self, done):
-        global looks
-        with open("/proc/self/statm") as file:
-            sizes[looks] = int(file.read().split()[1])  # pages
-        looks += 1
-runs.ProgressBar = Scale
-steps, master = int(sys.argv[4]), Coupling(**eval(sys.argv[3]))
-stop = steps * 1e-3
-run(system, master=master, step=1e-3, stop=stop, record_step=stop / int(sys.argv[5]), isolate=False)
-early = looks // 10
-print((sizes[early:looks].max() - sizes[:early].max()) * os.sysconf("SC_PAGE_SIZE"))
-"""
+GROWTH = entry(__file__, "growth")
 LONG_RUNS = [{"master": "jacobi"}, {"master": "hermite", "passes": 2}, {"master": "gauss-seidel", "order": 2}]
 on_linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 

@@ -108,14 +108,6 @@ def test_a_mistake_names_file_line_and_attribute(make, text, message):
     assert problem(lambda: load(path)).startswith(start)
 
 
-def test_a_step_beyond_the_stop_time_names_its_place(make):
-    """Unless another one is given."""
-    path = make(annotated(coupling('step="0.3"')))
-    told = r"\.ssd: line \d+: Coupling: step: expected at most the time from 0 to 0\.1 s, got 0\.3 s"
-    problem(lambda: run(path), told)
-    assert run(path, step=0.05).card.steps == 2
-
-
 def test_one_in_another_place_is_left_out_with_a_note(fmus, zip_ssp):
     """In a nested file or in a component: only the outermost system can suggest a coupling."""
     parts = {f"resources/{name}.fmu": fmus[f"mass_{name}"] for name in "ab"}
@@ -132,11 +124,15 @@ def test_one_in_another_place_is_left_out_with_a_note(fmus, zip_ssp):
     assert [note for note in system.notes if "left out" in note] == expected
 
 
-def test_two_suggestions_are_refused(make):
-    """The suggestion would be ambiguous."""
+def test_suggestions_that_cannot_be_followed(make):
+    """Two are ambiguous; a step beyond the stop time names its place, unless another one is given."""
     path = make(annotated(coupling()), at_end=annotated(coupling()))
     told = "expected one Coupling in annotations of type harvester-cosim, got some in"
     assert told in problem(lambda: load(path))
+    path = make(annotated(coupling('step="0.3"')))
+    told = r"\.ssd: line \d+: Coupling: step: expected at most the time from 0 to 0\.1 s, got 0\.3 s"
+    problem(lambda: run(path), told)
+    assert run(path, step=0.05).card.steps == 2
 
 
 def test_other_tools_pass_it_over(make, tmp_path):

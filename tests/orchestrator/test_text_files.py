@@ -88,14 +88,6 @@ def test_a_study_of_the_same_name_is_no_description(log, other):
     problem(lambda: read_trace(misspelt), "unknown key 'signal'; did you mean signals")
 
 
-def test_a_described_scenario_has_short_gaps_only(log):
-    """As a recording whose commands are played: linear over 0.1 s, refused beyond."""
-    meta = '[signals.u]\nunit = "V"\n'
-    assert read_trace(log("time,u\n0,1\n0.05,\n0.1,3\n", meta))["u"].tolist() == [1, 2, 3]
-    path = log("time,u\n0,1\n0.05,\n0.2,3\n", meta)
-    problem(lambda: read_trace(path), r"u: expected gaps of at most 0\.1 s, got one from 0\.05 s to 0\.05 s")
-
-
 WORDS_OF_LOGGERS = {
     "P [bar]": (["1.5", "Not available", "2", "Error", "2.5", "Error", "3"], "2 'Error', 1 'Not available'"),
     "P": (["#N/A", "#DIV/0!", "1", "---", "2", "3", "4"], "1 '#N/A', 1 '#DIV/0!', 1 '---'"),
@@ -189,12 +181,16 @@ def test_names_of_a_run_stay_as_they_are(tmp_path):
     assert read_trace(path)["x [bar]"].tolist() == [0, 1, 2]
 
 
-def test_a_recording_without_a_description_may_have_gaps(log):
-    """Empty cells and lost rows; a scenario has none."""
+def test_gaps_of_recordings_and_scenarios(log):
+    """A recording has empty cells and lost rows, a described scenario gaps up to 0.1 s, any other none."""
     rows = [f"{k},{k}" if k % 9 else f"{k}," for k in range(300) if k % 100]
     path = log("\n".join(["time,u", *rows]) + "\n")
     assert np.isnan(read_recording(path)["u"]).sum() == sum(1 for k in range(300) if k % 100 and k % 9 == 0)
     problem(lambda: read_trace(path), "line 10: column 'u': expected a number, got none")
+    meta = '[signals.u]\nunit = "V"\n'
+    assert read_trace(log("time,u\n0,1\n0.05,\n0.1,3\n", meta))["u"].tolist() == [1, 2, 3]
+    path = log("time,u\n0,1\n0.05,\n0.2,3\n", meta)
+    problem(lambda: read_trace(path), r"u: expected gaps of at most 0\.1 s, got one from 0\.05 s to 0\.05 s")
 
 
 def test_a_column_in_another_unit_drives_its_input(fmus: Workshop, log):

@@ -110,14 +110,10 @@ def test_a_mistake_in_equations_is_one_line(tmp_path, old, new, expected):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_command_builds_no_subsystem(capsys):
-    """The name of a subsystem, as until version 0.1, is refused with what builds it."""
+def test_the_command_builds_no_subsystem(capsys, tmp_path):
+    """By the name of a subsystem, as until version 0.1, or by its file: the line says what builds it."""
     line = refused(capsys, ["build", "fmus.boom_stick:VARIANTS.lumped"])
     assert "lumped: expected a file such as my_actuator.py; fmus.build(...) builds one of equations" in line
-
-
-def test_a_file_of_equations_is_told_how_to_build_it(tmp_path):
-    """A file with a Subsystem instead of a Model."""
     (tmp_path / "lag.py").write_text(NATIVE, encoding="utf-8")
     told = problem(lambda: build_user(tmp_path / "lag.py", tmp_path / "out"))
     assert "got none; LAG is a Subsystem: build it by fmus.build(LAG, folder)" in told

@@ -35,18 +35,14 @@ def test_the_first_difference_is_told(told, old, new, expected):
     assert told(TEXT, TEXT.replace(old, new)) == expected
 
 
-def test_an_end_of_a_range_is_told_by_its_name(told):
-    """With the unit of the FMU; of another distribution its numbers go without saying."""
+def test_ends_and_items_are_told_by_name(told):
+    """With the unit of the FMU; of a long list the item, or how long it was and is."""
     one = GAIN.replace("gain.factor", "gain.offset")
     two = one.replace("minimum = 1", "minimum = 1.5")
     assert told(one, two) == 'factors."gain.offset".minimum was 1 m, is 1.5 m'
     other = one.replace(OLD, 'distribution = "normal"\nmean = 1\nsd = 3\n')
     expected = 'factors."gain.offset".distribution was "uniform", is "normal"'
     assert told(one, other) == expected
-
-
-def test_of_a_long_list_the_item_is_told(told):
-    """Or how long it was and is."""
     one = TEXT.replace("values = [1, 2]", f"values = [{LIST}]")
     two = one.replace(" 38,", " 38.5,")
     assert told(one, two) == 'factors."gain.factor".values[38] was 38, is 38.5'

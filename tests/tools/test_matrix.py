@@ -237,15 +237,6 @@ def described(folder: Path, name: str) -> Path:
     return folder / name
 
 
-def test_a_file_that_is_no_fmu_is_one_that_did_not_run(tmp_path, monkeypatch):
-    """The FMUs beside it do."""
-    described(tmp_path, "good.fmu")
-    (tmp_path / "junk.fmu").write_text("junk")
-    monkeypatch.setattr(single, "carried_out", lambda *_, **__: outcome([0, 1, 2]))
-    rows = list(single.alone([fake("fake")], tmp_path, tmp_path))
-    assert rows == [("Fake", "2.0 CS", "1 of 2", "0", "0.5 s", "junk: File is not a zip file")]
-
-
 def pressures(y, stop: float = single.STROKE, wall: float = 1.5) -> Outcome:
     """A stroke of which one pressure is known and another one hardly moves."""
     moved = {"time": np.linspace(0.0, stop, len(y)), "boom_head_pressure": np.array(y, dtype=float)}
@@ -272,11 +263,16 @@ def test_a_stroke_is_compared_with_our_own(tmp_path, monkeypatch, own, found, ce
     assert rows == [("Fake", "2.0 CS", f"{ms} ms", *cells) for ms in (1, 10)]
 
 
-def test_without_our_own_stroke_there_is_one_row(tmp_path, monkeypatch):
-    """It says why."""
+def test_rows_of_what_did_not_run(tmp_path, monkeypatch):
+    """Without our own stroke one row says why; of a folder the other FMUs run."""
     monkeypatch.setattr(single, "carried_out", lambda *_, **__: Outcome({}, 0.0, "no such file"))
     rows = list(single.strokes([fake("fake")], tmp_path, tmp_path))
     assert rows == [("harvester-cosim", "2.0 CS", "1 ms", "", "", "no such file")]
+    described(tmp_path, "good.fmu")
+    (tmp_path / "junk.fmu").write_text("junk")
+    monkeypatch.setattr(single, "carried_out", lambda *_, **__: outcome([0, 1, 2]))
+    rows = list(single.alone([fake("fake")], tmp_path, tmp_path))
+    assert rows == [("Fake", "2.0 CS", "1 of 2", "0", "0.5 s", "junk: File is not a zip file")]
 
 
 def test_a_job_gives_rows_and_wall_time_whatever_the_program_prints(program, tmp_path):

@@ -97,13 +97,6 @@ def test_not_a_number_is_refused(bad: float) -> None:
     problem(lambda: numbers(REFERENCE, np.array([0.0, 1.0, bad, 0.0])), "in the reference at sample 2")
 
 
-def test_lengths_must_agree() -> None:
-    """Signals of different lengths, or of a single sample, are refused."""
-    line = problem(lambda: measure(TIME, REFERENCE[:3], REFERENCE, where="x"))
-    assert "expected equal numbers of samples, at least 2, got 4, 3, 4" in line
-    assert "got 1, 1, 1" in problem(lambda: measure(TIME[:1], REFERENCE[:1], REFERENCE[:1], where="x"))
-
-
 def wave(delay: float = 0.0, gain: float = 1.0) -> np.ndarray:
     """A decaying oscillation of 400 samples over 4 s."""
     t = np.linspace(0, 4, 400) - delay
@@ -137,8 +130,11 @@ def test_iso_says_why_it_does_not_rate(reference: np.ndarray, reason: str) -> No
     assert rating.grade == "not rated"
 
 
-def test_grades_of_the_standard() -> None:
-    """They begin above 0.94, 0.80 and 0.58; a constant simulation has no correlation: poor, unwarned."""
+def test_grades_and_lengths() -> None:
+    """Grades begin above 0.94, 0.80 and 0.58; equal lengths of two samples at least are needed."""
     grades = {0.95: "excellent", 0.94: "good", 0.7: "fair", 0.58: "poor"}
     assert {value: Rating(overall=value).grade for value in grades} == grades
     assert iso_rating(np.linspace(0, 4, 400), np.zeros(400), wave()).grade == "poor"
+    line = problem(lambda: measure(TIME, REFERENCE[:3], REFERENCE, where="x"))
+    assert "expected equal numbers of samples, at least 2, got 4, 3, 4" in line
+    assert "got 1, 1, 1" in problem(lambda: measure(TIME[:1], REFERENCE[:1], REFERENCE[:1], where="x"))

@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from kit import shards
+from kit.mistakes import entry
 from kit.wait import LONG, until
 from matplotlib import image
 from numpy.typing import NDArray
@@ -339,16 +340,7 @@ def test_dialogs_fit_a_phone(page: Any) -> None:
     page.set_viewport_size({"width": 1200, "height": 800})
 
 
-RING = """() => { const [canvas, one] = [document.createElement('canvas'), document.activeElement];
-  const context = canvas.getContext('2d');
-  const light = (colour) => { context.fillStyle = colour; context.fillRect(0, 0, 1, 1);
-    const linear = [...context.getImageData(0, 0, 1, 1).data.slice(0, 3)].map((c) => c / 255)
-      .map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4));
-    return 0.05 + 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]; };
-  const ring = getComputedStyle(one);
-  const around = getComputedStyle(one.closest('.harvester-machine')).backgroundColor;
-  const [a, b] = [light(ring.outlineColor), light(around)];
-  return [ring.outlineStyle, Math.max(a, b) / Math.min(a, b)]; }"""
+RING = entry(__file__, "ring")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -435,8 +427,8 @@ def test_pose_and_fidelity(page: Any, server: Server) -> None:
     page.wait_for_function("() => document.querySelector('.hm-panel').innerText.includes('Head, sideways')")
 
 
-def test_replay(own: Any) -> None:
-    """A result file is played by the page itself; from there it goes back to the live machine."""
+def test_replay(own: Any, server: Server) -> None:
+    """A result file is played by the page itself, then the live machine; one that is gone is one line."""
     own.get_by_role("button", name="Replay").click()
     # a click waits for two equal frames, which a computer without a graphics card may not draw in time
     own.locator("dialog").get_by_role("button", name="Replay", exact=True).press("Enter")
@@ -450,10 +442,6 @@ def test_replay(own: Any) -> None:
     assert own.complaints == []
     own.get_by_role("button", name="Live machine").click()
     own.get_by_role("button", name="Take controls").wait_for()
-
-
-def test_a_replay_says_what_was_wrong(own: Any, server: Server) -> None:
-    """A file that is not there is one line."""
     own.goto(f"{server.url}?replay=gone.csv")
     own.get_by_role("alert").get_by_text("gone.csv").wait_for()
 

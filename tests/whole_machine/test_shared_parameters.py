@@ -47,13 +47,17 @@ def test_the_name_of_a_shared_value_sets_all_parts(system):
         assert [changed.components[p].value("boom_stroke") for p in FERIC.shared["boom_stroke"]] == [0.6, 0.6]
 
 
-def test_a_parameter_set_with_one_shared_value_is_refused(system, tmp_path):
-    """At the run, because another set may set the other value."""
+def test_parameter_sets_that_are_refused(system, tmp_path):
+    """At the run, because another set may set the other value; out of bounds the line names the file."""
     file = tmp_path / "longer.ssv"
     file.write_text(SSV.format("boom_stick.boom_stroke", 0.6))
     told = r"boom_stick.boom_stroke is 0.6 and manipulator.boom_stroke is 0.61 m"
     mistakes.problem(lambda: run(system, parameters=[file], stop=0.01), told)
     with_sets(system, [file]).with_start({"boom_stroke": 0.6})
+    file = tmp_path / "bad.ssv"
+    file.write_text(SSV.format("boom_stick.boom_bore", 0))
+    told = r"bad.ssv: boom_stick.boom_bore: expected at least 0.001 m, got 0 m"
+    mistakes.problem(lambda: with_sets(system, [file]), told)
 
 
 def test_an_ssp_keeps_what_its_parts_share(system, tmp_path):
@@ -161,11 +165,3 @@ def test_values_out_of_bounds_are_refused_before_the_first_step(fmu_dir, tmp_pat
     arguments = ["run", fmu_dir / "harvester.ssp", "--set", given, "--out", out]
     assert message in mistakes.refused(capsys, arguments)
     assert not out.exists()
-
-
-def test_a_parameter_set_out_of_bounds_names_its_file(system, tmp_path):
-    """Selected by the user."""
-    file = tmp_path / "bad.ssv"
-    file.write_text(SSV.format("boom_stick.boom_bore", 0))
-    told = r"bad.ssv: boom_stick.boom_bore: expected at least 0.001 m, got 0 m"
-    mistakes.problem(lambda: with_sets(system, [file]), told)

@@ -4,11 +4,10 @@ import json
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 import pytest
 from kit import shards
 from kit.every import MACHINES
-from kit.mistakes import problem, refused
+from kit.mistakes import problem, refused, table
 
 from fmus.identification.recordings.reading import doubtful
 from fmus.machine.build import harvester_machine
@@ -240,26 +239,7 @@ def test_a_command_that_is_replaced_is_not_recorded(experiments):
     assert experiments["cycle"].trace["operator_input.boom_command"].any()
 
 
-@pytest.mark.parametrize(
-    ("value", "unit", "usual", "told"),
-    [
-        (180.0, "Pa", [2e7], "x = 180 Pa, usually about 2e+07 Pa; did you mean 180 bar?"),
-        (20.0, "bar", [2e7], "x = 20 bar, usually about 2e+07 bar; is the unit right?"),
-        (2e7, "bar", [200.0], "x = 2e+07 bar, usually about 200 bar; did you mean 2e+07 Pa?"),
-        (-40.0, "rad", [0.5], "x = -40 rad, usually about 0.5 rad; did you mean -40 deg?"),
-        (90.0, "rad", [0.2], "x = 90 rad, usually about 0.2 rad; did you mean 90 deg?"),
-        (7.0, "rad", [0.2], "x = 7 rad, usually about 0.2 rad; is the unit right?"),  # more than a turn
-        (6.0, "rad", [0.2], ""),
-        (7.0, "rad", [4.0], ""),  # of a joint that turns round
-        (200.0, "rad", [0.2], "x = 200 rad, usually about 0.2 rad; did you mean 200 mrad?"),
-        (1e6, "furlong", [1.0], "x = 1e+06 furlong, usually about 1 furlong; is the unit right?"),
-        (0.0, "Pa", [2e7], ""),
-        (np.inf, "Pa", [2e7], ""),
-        (180.0, "Pa", [0.0], ""),
-        (999.0, "1", [1.0], ""),
-        (1000.0, "1", [1.0], "x = 1000, usually about 1; is the unit right?"),
-    ],
-)
+@table(__file__, "meant", "value, unit, usual, told")
 def test_the_unit_that_is_meant(value, unit, usual, told):
     """The common unit in which the value is the nearest to usual; none if it is near in none."""
     assert doubt("x", value, unit, usual) == told

@@ -1,12 +1,13 @@
 """Opening curves of the valve from recordings of `benchmarks.openings`, which has equations of its own."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from identification.procedures.bench import changed, named
+from identification.procedures.bench import changed, named, opening
 from kit import shards
 from scipy import stats
 
@@ -31,31 +32,23 @@ def likely(count, wrong):
     return stats.binom.isf(wrong, count, 0.05)
 
 
-def test_intervals_hold_the_areas_at_the_measured_commands(trials):
-    """95 % intervals of the areas at single commands, over all shapes."""
+def test_areas_and_tables_follow_the_opening(trials):
+    """95 % intervals of the areas at single commands, and the machine's curve through nine of them."""
     # zeros are common to a valve: its areas miss together, so a valve counts as one; of 8 at most two
     wrong = [t for t in trials if t.inside < 0.8]
     assert len({t.valve for t in wrong}) <= likely(len({t.valve for t in trials}), 0.01), wrong
     # intervals are no excuse: 0.25 % of the area is the noise with zeros of 0.5 bar
     assert max(t.half for t in trials) < 0.005
-
-
-def test_tables_follow_the_opening_between_the_measured_commands(trials):
-    """The machine's curve through nine of the areas; a kink between two of them is 3.3 % of the area off."""
     assert max(t.table for t in trials) < 0.033
 
 
 def test_areas_at_full_command_and_starts_are_right(trials):
-    """Areas within 1 %, zeros as declared; starts, where no flow was measured, within their uncertainty."""
+    """Areas within 1 %, zeros as declared, starts within their uncertainty; exactly the line is one."""
     assert max(abs(t.area) for t in trials) < 0.01
     assert max(t.zero for t in trials) <= 1.0
     curved = [t for t in trials if not t.straight]
     # of 14 intervals at most three
     assert sum(not t.start for t in curved) <= likely(len(curved), 0.005)
-
-
-def test_a_straight_line_is_found_to_suffice(trials):
-    """Exactly the line is one: a curve that is 1.05 instead of 1 in its exponent is not."""
     assert {t.valve for t in trials if t.straight} == {"line^1"}
     assert all(t.straight for t in trials if t.valve == "line^1")
 
@@ -280,21 +273,11 @@ def test_a_sharp_start_is_found(monkeypatch, start, step):
     assert rounding.low < 0.01 < rounding.high < 0.5
 
 
-def rounded(dead_band, width):
-    """A straight opening behind a dead band, rounded over a width [V] as the machine's."""
-
-    def ramp(z):
-        s = np.clip(z / width, 0.0, 1.0)
-        return width * (s**3 - s**4 / 2) + np.maximum(z - width, 0.0)
-
-    return lambda v: ramp(v - dead_band) / ramp(bench.FULL - dead_band)
-
-
 @pytest.mark.parametrize(("dead_band", "width"), [(0.7, 0.2), (0.5, 0.6), (0.6, 0.4)])
 def test_a_rounded_start_is_in_the_interval(monkeypatch, dead_band, width):
     """Shorter, longer and equal to the known 0.4 V."""
     gear_meter(monkeypatch)
-    estimates = named(found(rounded(dead_band, width)))
+    estimates = named(found(partial(opening, dead_band=dead_band, rounding=width)))
     band = estimates["valve_dead_band"]
     assert band.low <= dead_band <= band.high
     assert band.high - band.low < 0.25

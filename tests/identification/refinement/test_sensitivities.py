@@ -170,10 +170,3 @@ def test_samples_are_checked(change: dict[str, np.ndarray], message: str) -> Non
     """Arrays of another shape, beyond which C would read, and times that do not increase are refused."""
     good = {"x": np.array([0.1, 0.8]), "p": model().p0, "time": TIME, "inputs": DRIVE[:, None]}
     problem(lambda: model().segment(*(good | change).values()), message)
-
-
-def test_a_store_that_cannot_be_written_to_is_done_without(monkeypatch, tmp_path) -> None:
-    """Without a writable cache folder the model is compiled for this process."""
-    (tmp_path / "file").write_text("")
-    monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "file" / "store")
-    assert model(("lag",)).segment(np.zeros(1), model().p0, TIME, DRIVE[:, None]).steps > 0

@@ -138,14 +138,10 @@ def places(*found):
 
 
 def test_the_picture_shows_values_over_those_before():
-    """Twice is at the right end of an axis to 2, half at the left end, equal in the middle."""
+    """Twice is at the right end of an axis to 2, half at the left one; what leaves the axis is cut."""
     ends = [[50, 100, 100], [0, 0, pytest.approx(25)]]
     assert places((2.0, 1.0, 2.0, 1.0), (0.5, 0.5, 2**-0.5, 1.0)) == (2, ends)
     assert places((-3.0, -3.0, -1.5, -1.5)) == (2, ends[:1])
-
-
-def test_the_picture_cuts_what_leaves_its_axis():
-    """Open intervals, a sign that changes, and no value before."""
     reach, ends = places((1.0, -np.inf, np.inf, None), (1.0, -1.0, 100.0, 0.0), (0.0, 0.0, 1.0, None))
     assert (reach, ends) == (10, [[0, 50, 100], [0, 50, 100]])
     assert places() == (1.1, [])

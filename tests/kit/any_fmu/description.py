@@ -1,13 +1,16 @@
 """modelDescription.xml of FMI 2.0 or 3.0 from a table of variables, and the archive around it."""
 
+import io
 import tomllib
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import fmpy
 
+Place = TypeVar("Place", Path, io.BytesIO)
 BASE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 ITEMS = '<Item name="red" value="1"/><Item name="green" value="2"/>'
 COLOUR = {
@@ -122,8 +125,8 @@ class Description:
         return _attributes(unknown).strip()
 
 
-def packed(path: Path, members: Mapping[str, bytes | str]) -> Path:
-    """An archive."""
+def packed(path: Place, members: Mapping[str, bytes | str]) -> Place:
+    """An archive in a file or in memory."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members.items():
             archive.writestr(name, content)
