@@ -39,7 +39,7 @@ from orchestrator.data import gltf
 from orchestrator.data.table import Array
 
 AXES = get_args(Axis)
-PLANES = {
+PLANES: Mapping[str, tuple[Axis, Axis]] = {
     "x": ("y", "z"),
     "y": ("x", "z"),
     "z": ("x", "y"),
@@ -341,7 +341,7 @@ class JointDescription:
         return np.array([sign if n == self.axis[-1] else 0.0 for n in "xyz"])
 
     @property
-    def plane(self) -> tuple[str, str, float]:
+    def plane(self) -> tuple[Axis, Axis, float]:
         """Coordinates of its pins; 1 or -1: it turns the first one towards the second, or away from it."""
         return *PLANES[self.axis[-1]], 1.0 if self.axis in ("x", "-y", "z") else -1.0
 

@@ -9,7 +9,7 @@ Validity: rigid links, viscous friction, the pins of a cylinder in the plane of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -177,20 +177,39 @@ def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> Join
         cylinder, carrier = linkage(p), names.index(j.parent) if j.parent else None
 
         def vector(along: Scalar, across: Scalar) -> Vector:
-            x, y, z = ({u: along, v: across if side > 0 else -across}.get(n, 0) for n in "xyz")
+            in_plane: dict[str, Scalar] = {u: along, v: across if side > 0 else -across}
+            x, y, z = (in_plane.get(n, 0) for n in "xyz")
             return x, y, z
 
-        def bar(name: str, pin: Point, mass: Scalar, long: Scalar, law: Any, **other: Any) -> None:
-            joint = (0, 0, 0) if "parent" in other else (o.at_x, o.at_y, o.at_z)
+        def bar(
+            name: str,
+            pin: Point,
+            mass: Scalar,
+            long: Scalar,
+            law: Callable[[Scalar], Scalar],
+            on: int | None = None,
+            slides: bool = False,
+        ) -> None:
+            """One bar; on: the bar that carries it; None: the link that carries the joint."""
+            joint = (0, 0, 0) if on is not None else (o.at_x, o.at_y, o.at_z)
             x, y, z = (a + b for a, b in zip(joint, vector(*pin), strict=True))
-            keys = {"joint": "revolute", "axis": j.axis, "parent": carrier, "inertia": "bar", **other}
-            body = {"mass": mass, "centre": vector(long / 2, 0), "follows": of_joint, "law": law}
-            links.append(Link(f"{j.name}_{name}", at=(x, y, z), **keys, **body))
+            link = Link(
+                name=f"{j.name}_{name}",
+                joint="prismatic" if slides else "revolute",
+                axis=u if slides else j.axis,
+                at=(x, y, z),
+                parent=carrier if on is None else on,
+                mass=mass,
+                centre=vector(long / 2, 0),
+                inertia="bar",
+                follows=of_joint,
+                law=law,
+            )
+            links.append(link)
 
         if {"barrel_mass", "rod_mass"} & own.keys():
             bar("barrel", cylinder.base, o.barrel_mass, o.closed_length, partial(direction, cylinder))
-            slide = {"joint": "prismatic", "axis": u, "parent": first}
-            bar("rod", (0, 0), o.rod_mass, -o.closed_length, partial(length, cylinder), **slide)
+            bar("rod", (0, 0), o.rod_mass, -o.closed_length, partial(length, cylinder), on=first, slides=True)
         if {"rocker_mass", "coupler_mass"} & own.keys() and isinstance(cylinder, FourBar):
             bars, parent = cylinder, first + len(links)
             bar("rocker", bars.pivot, o.rocker_mass, o.rocker, lambda q: bars.angles(q)[0])
@@ -199,7 +218,7 @@ def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> Join
                 rocker, coupler = bars.angles(q)
                 return coupler - rocker
 
-            bar("coupler", (o.rocker, 0), o.coupler_mass, o.coupler, fold, parent=parent)
+            bar("coupler", (o.rocker, 0), o.coupler_mass, o.coupler, fold, on=parent)
         return links
 
     def stop(p: Any) -> tuple[Scalar, ...]:

@@ -150,45 +150,38 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
     return {"functions": words, "patterns": hands, "modes": modes}
 
 
-def _line(name: str, text: str, unit: str, **more: Any) -> dict[str, Any]:
-    return {"name": name, "text": text, "unit": unit, **more}
-
-
-def _told(name: str, above: float, text: str) -> list[dict[str, Any]]:
-    return [{"name": name, "above": above, "text": text}]
-
-
 def _gauges(crane: CraneDescription, most: int) -> list[dict[str, Any]]:
     """Pressures, motion, power. Only some drives have the flow of relief valves as an output."""
-    bar: dict[str, Any] = {"unit": "bar", "high": most, "digits": 0}
-    pressures = [
-        _line(f"{j.name}_{end}", f"{j.name.capitalize()}, {text}", **bar, told=told)
-        for j in crane.driven
-        for (end, text), told in zip(
-            _ends(j), (_told(f"{j.name}_relief_flow", RELIEVED, "relief open"), []), strict=True
+
+    def line(name: str, text: str, scale: Mapping[str, Any], *told: tuple[str, float, str]) -> dict[str, Any]:
+        words = [dict(zip(("name", "above", "text"), one, strict=True)) for one in told]
+        return {"name": name, "text": text, **scale, "told": words}
+
+    def drive(j: JointDescription) -> Iterator[dict[str, Any]]:
+        first, second = ((f"{j.name}_{end}", f"{j.name.capitalize()}, {text}") for end, text in _ends(j))
+        yield line(*first, bar, (f"{j.name}_relief_flow", RELIEVED, "relief open"))
+        yield line(*second, bar)
+
+    def joint(j: JointDescription) -> dict[str, Any]:
+        stop = (f"{j.name}_stop_force", STOPPED, "end of stroke")
+        return line(
+            j.coordinate, j.name.capitalize(), angle if j.revolute else length, *[stop][: bool(j.cylinder)]
         )
-    ]
-    length: dict[str, Any] = {"unit": "m", "digits": 2}
-    angle: dict[str, Any] = {"unit": "°", "low": -180, "high": 180, "digits": 0}
+
+    bar, length = {"unit": "bar", "high": most, "digits": 0}, {"unit": "m", "digits": 2}
+    angle = {"unit": "°", "low": -180, "high": 180, "digits": 0}
     motion = [
-        _line(
-            j.coordinate,
-            j.name.capitalize(),
-            **(angle if j.revolute else length),
-            told=_told(f"{j.name}_stop_force", STOPPED, "end of stroke") if j.cylinder else [],
-        )
-        for j in crane.joints
-        if not j.follows
+        *(joint(j) for j in crane.joints if not j.follows),
+        line("tip_radius", "Tip, reach", length),
+        line("tip_height", "Tip, height", {**length, "low": -2, "high": _reach(crane)}),
+        line("held_mass", "Load", {"unit": "kg", "high": 1000, "digits": 0}),
     ]
-    tip = [
-        _line("tip_radius", "Tip, reach", "m", digits=2),
-        _line("tip_height", "Tip, height", "m", low=-2, high=_reach(crane), digits=2),
-        _line("held_mass", "Load", "kg", high=1000, digits=0),
-    ]
+    pressures = [gauge for j in crane.driven for gauge in drive(j)]
+    flow = line("supply_flow", "Flow", {"unit": "L/min", "high": 300, "digits": 0})
     return [
-        {"title": "Pressure", "lines": [_line("supply_pressure", "Supply", **bar), *pressures]},
-        {"title": "Motion", "lines": motion + tip},
-        {"title": "Power", "lines": [_line("supply_flow", "Flow", "L/min", high=300, digits=0)]},
+        {"title": "Pressure", "lines": [line("supply_pressure", "Supply", bar), *pressures]},
+        {"title": "Motion", "lines": motion},
+        {"title": "Power", "lines": [flow]},
     ]
 
 

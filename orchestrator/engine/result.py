@@ -641,13 +641,18 @@ def write_metadata(result: Result, trace: Path) -> Path:
     return write_whole(metadata_file(trace), text)
 
 
+EVENTS = "time,causes\n"  # heading of a file of events
+
+
 def write_events(events: Sequence[Event], trace: Path) -> None:
     """Write times [s] and causes of events next to a trace; without any, remove those of an earlier run."""
     file = trace.with_suffix(".events.csv")
     if events:
-        write_whole(file, "".join(["time,causes\n", *(f"{e.time!r},{' '.join(e.causes)}\n" for e in events)]))
-    else:
-        file.unlink(missing_ok=True)
+        write_whole(file, "".join([EVENTS, *(f"{e.time!r},{' '.join(e.causes)}\n" for e in events)]))
+    elif file.is_file():
+        with file.open(encoding="utf-8", errors="replace") as stream:
+            if stream.readline() == EVENTS:  # it could be a trace of another name
+                file.unlink()
 
 
 def read_metadata(path: Path) -> RunMetadata | None:

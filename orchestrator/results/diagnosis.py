@@ -375,7 +375,7 @@ def _refuse_units(component: Component, trace: Trace, source: str) -> None:
     variables = component.interface.variables
     for name, values in trace.signals.items():
         unit, size = variables[name].unit_name or "1", float(np.abs(values).max())
-        full = [float(component.value(n)) for n in variables if n.endswith("valve_full_command")]
+        full = [float(component.value(n)) for n in variables if n.endswith("_full_command")]
         if unit == "K" and values.min() < COLDEST:
             raise Problem(f"{source}: {name}: expected K, got {values.min():.4g} K; did you mean degC?")
         if name.endswith("_command") and full and size > BEYOND * max(full):
@@ -406,8 +406,7 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
             signals[name] = values.copy()
             signals[name][rows] = values[[k - 1 for k in rows]]
             remarks.append(
-                f"{source}: {name}: left out, as they are far from both neighbours: single readings,"
-                f" {len(rows)}"
+                f"{source}: {name}: outliers left out, far from the readings before and after: {len(rows)}"
             )
         if variables[name].unit_name in ("rad", "m"):
             jumps += np.abs(np.diff(signals[name])) > FASTEST * steps + OFF
@@ -417,7 +416,9 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
         remarks.append(f"{source}: {what}; nothing is judged in them")
     if splices.any():
         at = f"{trace.time[int(splices.argmax()) + 1]:.6g} s"
-        remarks.append(f"{source}: all angles jump at {at}: two recordings? Nothing is judged over the jump")
+        remarks.append(
+            f"{source}: two or more angles jump at {at}: two recordings? Nothing is judged over the jump"
+        )
     if "gap" in variables and (gaps | splices).any():
         off = gaps | splices
         signals["gap"] = (np.append(off, False) | np.insert(off, 0, False)).astype(np.float64)
@@ -475,7 +476,7 @@ def _without(component: Component, trace: Trace, source: str) -> tuple[list[str]
             continue
         fitted = f"{name}{FITTED}" in variables
         if name in trace.signals:
-            even = name == "tank_pressure" and abs(trace.signals[name][0]) < EVEN
+            even = name.startswith("tank_") and abs(trace.signals[name][0]) < EVEN
             if fitted and len(trace.time) > 1 and np.ptp(trace.signals[name]) == 0 and not even:
                 missing.append(name)
                 value = f"{trace.signals[name][0]:.6g}"

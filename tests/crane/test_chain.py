@@ -3,7 +3,7 @@
 import math
 import re
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import casadi as ca
 import numpy as np
@@ -107,6 +107,11 @@ def random_inertia(rng):
     return (*np.diag(inertia).tolist(), *inertia[np.triu_indices(3, 1)].tolist())
 
 
+def line(ratio, offset, q):
+    """The coordinate of a link that follows another one."""
+    return ratio * q + offset
+
+
 def random_links(rng):
     """A tree of two to seven links; about one in four follows another link with a ratio."""
     links = []
@@ -124,8 +129,7 @@ def random_links(rng):
         )
         if free and rng.random() < 0.3:
             ratio, offset = rng.uniform(-3, 3, 2).tolist()
-            law = lambda q, ratio=ratio, offset=offset: ratio * q + offset  # noqa: E731
-            link = replace(link, follows=int(rng.choice(free)), law=law)
+            link = replace(link, follows=int(rng.choice(free)), law=partial(line, ratio, offset))
         links.append(link)
     return tuple(links)
 

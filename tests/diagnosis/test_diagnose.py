@@ -274,8 +274,8 @@ def hold(columns):
 
 INTERRUPTED = {
     "gaps of readings: 1, the longest of 0.51 s; nothing is judged in them": gap,
-    "all angles jump at 1.2 s: two recordings?": splice,
-    "boom_rod_pressure: left out, as they are far from both neighbours: single readings, 1": outlier,
+    "two or more angles jump at 1.2 s: two recordings?": splice,
+    "boom_rod_pressure: outliers left out, far from the readings before and after: 1": outlier,
     "20 Hz, expected 100 Hz or more": hold,
 }
 

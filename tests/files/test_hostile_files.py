@@ -1,6 +1,7 @@
 """FMUs and SSPs that are made to harm: what each of them tries, and the line that refuses it."""
 
 import errno
+import io
 import os
 import shutil
 import struct
@@ -44,6 +45,11 @@ ZEROS = bytes(150 << 20)
 BOMB = 800_000_000  # bytes; above the size up to which any ratio is accepted
 
 
+def archived(members: Mapping[str, bytes]) -> bytes:
+    """An archive in memory."""
+    return packed(io.BytesIO(), members).getvalue()
+
+
 @pytest.fixture(scope="module")
 def gain(fmus: Workshop) -> Path:
     """A good FMU."""
@@ -56,7 +62,7 @@ def fmu(path: Path, *changes: tuple[str, str], more: Members | None = None) -> P
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
-    path.write_bytes(packed({**GOOD, DESCRIPTION: text.encode(), **(more or {})}))
+    path.write_bytes(archived({**GOOD, DESCRIPTION: text.encode(), **(more or {})}))
     return path
 
 
@@ -66,7 +72,7 @@ def system(path: Path, gain: Path, *changes: tuple[str, str], more: Members | No
     for old, new in changes:
         assert old.encode() in members["SystemStructure.ssd"]
         members["SystemStructure.ssd"] = members["SystemStructure.ssd"].replace(old.encode(), new.encode())
-    path.write_bytes(packed({**members, **(more or {})}))
+    path.write_bytes(archived({**members, **(more or {})}))
     return path
 
 
@@ -256,7 +262,7 @@ def test_backslashes_in_names_are_slashes(gain: Path, tmp_path: Path) -> None:
     path = tmp_path / "x.fmu"
     with zipfile.ZipFile(gain) as good:
         members = {n: good.read(n) for n in good.namelist()}
-    path.write_bytes(packed({n.replace("/", "\\"): data for n, data in members.items()}))
+    path.write_bytes(archived({n.replace("/", "\\"): data for n, data in members.items()}))
     with Location(path).unpacked() as folder:
         assert {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()} == set(members)
     assert set(Location(path).names()) == set(members)
@@ -298,9 +304,9 @@ def test_a_bomb_in_a_system_is_refused(gain: Path, tmp_path: Path) -> None:
     problem(lambda: load(bad), r"x\.ssp/resources/gain\.fmu: expected at most 200 times its size")
     text = INNER.replace("resources/gain.fmu", "x.ssp")
     text = text.replace('name="g"', 'name="g" type="application/x-ssp-package"')
-    data = packed({"SystemStructure.ssd": text.encode()})
+    data = archived({"SystemStructure.ssd": text.encode()})
     for _ in range(MAX_NESTING + 2):
-        data = packed({"SystemStructure.ssd": text.encode(), "x.ssp": data})
+        data = archived({"SystemStructure.ssd": text.encode(), "x.ssp": data})
     (tmp_path / "nested.ssp").write_bytes(data)
     problem(lambda: load(tmp_path / "nested.ssp"), "expected at most 8 archives inside each other")
 
@@ -421,7 +427,7 @@ def test_entities_are_not_expanded(entities: str, place: str, tmp_path: Path) ->
     """Neither in attributes nor in the content, neither a billion of them nor those of other files."""
     text = XML_2.replace("<fmiModelDescription", f"<!DOCTYPE a [{entities}]><fmiModelDescription")
     path = tmp_path / "x.fmu"
-    path.write_bytes(packed({**GOOD, DESCRIPTION: text.replace(place, f"{place}&a9;", 1).encode()}))
+    path.write_bytes(archived({**GOOD, DESCRIPTION: text.replace(place, f"{place}&a9;", 1).encode()}))
     start, before = time.process_time(), peak()
     assert "root:" not in problem(lambda: load(path), r"cannot be read as XML|got the entity &a9;")
     assert "xml.syntax" in {f.rule for f in check(path, run=False).findings if f.severity == "error"}

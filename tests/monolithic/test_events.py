@@ -183,7 +183,7 @@ def test_events_at_one_time_are_one_instant(stopping):
 
 @pytest.mark.parametrize("isolate", [True, False])
 def test_the_events_are_in_a_file(stopping, tmp_path, isolate):
-    """One line each; a later run without events takes it away. Rows are those of the steps."""
+    """One line each; a later run without events takes it away, but no other file of that name."""
     system = assemble({"relay": stopping("relay"), "room": stopping("room")}, HEATED)
     result = run(system, stop=1.5, step=0.1, isolate=isolate)
     file = result.write(tmp_path / "trace.csv").with_suffix(".events.csv")
@@ -191,9 +191,13 @@ def test_the_events_are_in_a_file(stopping, tmp_path, isolate):
         rows = list(csv.DictReader(lines))
     assert [float(row["time"]) for row in rows] == [event.time for event in result.events]
     assert [row["causes"] for row in rows] == ["relay relay.on"] * 2
-    assert len(result.time) == 16
-    run(system, stop=0.5, step=0.1, isolate=isolate).write(tmp_path / "trace.csv")
+    assert len(result.time) == 16, "those of the steps"
+    quiet = run(system, stop=0.5, step=0.1, isolate=isolate)
+    quiet.write(tmp_path / "trace.csv")
     assert not file.exists()
+    file.write_text("time,force\n0,1\n")
+    quiet.write(tmp_path / "trace.csv")
+    assert file.exists()
 
 
 @pytest.mark.parametrize(

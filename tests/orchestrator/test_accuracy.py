@@ -12,7 +12,6 @@ from kit.mistakes import problem, table
 from orchestrator import Coupling, Problem, Result, RunFailed, Trace, assemble, reference, run
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import accuracy as accuracy_search
-from orchestrator.engine import sources
 from orchestrator.engine.job import Job, begun
 from orchestrator.engine.result import Card, RunEnd, SignalError
 from orchestrator.engine.run import run_to_file, simulate
@@ -172,8 +171,8 @@ def test_a_stroke_that_begins_in_the_last_look_is_no_jump(last, jumps):
     """Nothing after it tells whether it goes on; a jump before it is seen."""
     values = np.array([0.0, 0.0, 0.1, 0.2, 0.2, 0.2, 0.2 + last])
     trace = Trace(np.arange(7.0), {"s.y": values})
-    assert sources.jumps(trace, "s.y") is jumps
-    assert sources.jumps(Trace(np.arange(7.0), {"s.y": np.where(values > 0.1, 9.0, 0.0)}), "s.y")
+    assert accuracy_search.jumps(trace, "s.y") is jumps
+    assert accuracy_search.jumps(Trace(np.arange(7.0), {"s.y": np.where(values > 0.1, 9.0, 0.0)}), "s.y")
 
 
 def test_looks_at_sources_that_are_none_and_looks_that_fail(fmus):
@@ -192,7 +191,7 @@ def test_looks_at_sources_that_are_none_and_looks_that_fail(fmus):
 
 def test_what_is_hidden_between_samples():
     """A pulse is seen by steps that are no longer, a sine by steps with a flat arc, and a ramp by any."""
-    seen, n = sources.seen, np.arange(1000)
+    seen, n = accuracy_search.seen, np.arange(1000)
     assert 3 <= seen(np.where((n > 500) & (n <= 506), 1.0, 0.0), 60, 0.1) <= 6
     # 1 - cos(pi m / 100) = 0.2 at m = 20.5; the search shortens by a third each time
     assert 13 <= seen(np.sin(2 * np.pi * n / 100), 60, 0.1) <= 20

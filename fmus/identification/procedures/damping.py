@@ -132,11 +132,11 @@ def moves(recording: Recording, s: Samples, joint: int) -> bool:
     return bool(rms > max(MOVING * noise, SLOWEST))
 
 
-def _refined(parameters: Parameters, fit: Fit, again: Callable[..., Fit]) -> Fit:
+def _refined(parameters: Parameters, fit: Fit, again: Callable[[Procedure], Fit]) -> Fit:
     """With a dry friction as an unknown if it is clear, else it would raise B; and what known errors do."""
     dry, sd = dry_friction(fit)
     if dry > CLEAR * sd:
-        fit = again(tested=[momentum.OFFSET])
+        fit = again(replace(fit.procedure, tested=[momentum.OFFSET]))
     effect = momentum.known_parameter_effect(fit.solution, parameters, fit.known.contact.theta)
     return replace(fit, known=SimpleNamespace(**vars(fit.known), effect=effect))
 

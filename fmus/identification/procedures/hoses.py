@@ -179,14 +179,14 @@ def _turbulent(known: Any, thicker: float = 0.0) -> dict[str, float]:
     return {"C_R": start / math.exp(thicker / 4), "viscosity": thicker}
 
 
-def _refined(fit: Fit, again: Callable[..., Fit]) -> Fit:
+def _refined(fit: Fit, again: Callable[[Procedure], Fit]) -> Fit:
     """With the viscosity as an unknown, if that explains the data far better and they tell it.
 
     Else a misfit of another cause, such as a drift, would be taken for a viscosity.
     """
     for thicker in STARTS if fit.solution.fit.misfit else ():
         with suppress(Problem):  # with a viscosity that is far off
-            other = again(tested=(), start=partial(_turbulent, thicker=thicker))
+            other = again(replace(fit.procedure, tested=(), start=partial(_turbulent, thicker=thicker)))
             found = other.solution.fit
             told = found.sd("viscosity") < balance.DETERMINED and found.significant("viscosity")
             if told and other.solution.cost < fit.solution.cost - FURTHER:

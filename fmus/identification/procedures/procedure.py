@@ -402,7 +402,7 @@ class Procedure:
     drift      unknown -> words for it, of which a change over the experiment is tested
     given      (fit) -> whitened columns whose effects are free in that test
     equal      unknowns that are the same in all recordings
-    refined    (fit, fit again with other arguments of `fitted`) -> the fit that is used
+    refined    (fit, the fit of another declaration) -> the fit that is used
     check      (fit) -> raises Problem if the data make no sense
     label      of its findings, the name by default
     """
@@ -427,7 +427,7 @@ class Procedure:
     drift: Mapping[str, str] = field(default_factory=dict)
     given: Callable[[Fit], Sequence[Array]] = _nothing
     equal: Collection[str] = ()
-    refined: Callable[[Fit, Callable[..., Fit]], Fit] = lambda fit, _: fit
+    refined: Callable[[Fit, Callable[[Procedure], Fit]], Fit] = lambda fit, _: fit
     check: Callable[[Fit], object] = _nothing
     label: str = ""
 
@@ -456,11 +456,7 @@ def solve(d: Procedure, tests: Recordings, parameters: Parameters) -> ProcedureR
 def fit_of(d: Procedure, tests: Recordings, parameters: Parameters) -> Fit:
     """The fit that is used."""
     known = d.known(tests, parameters)
-
-    def again(**changes: Any) -> Fit:
-        return fitted(replace(d, **changes), tests, known)
-
-    fit = d.refined(again(), again)
+    fit = d.refined(fitted(d, tests, known), lambda other: fitted(other, tests, known))
     d.check(fit)
     return fit
 

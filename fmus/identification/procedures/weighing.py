@@ -100,11 +100,12 @@ def _moving(recording: Recording, mass: str, known: Weighed) -> Samples:
     return replace(s, names=(mass, *s.names[1:]))
 
 
-def _refined(fit: Fit, again: Callable[..., Fit]) -> Fit:
-    misfit = fit.solution.fit.misfit
-    return (
-        replace(fit, known=replace(fit.known, plain=again(limits=lambda _: {}).solution)) if misfit else fit
-    )
+def _refined(fit: Fit, again: Callable[[Procedure], Fit]) -> Fit:
+    """With the solution without zeros of sensors beside it, which tells what a misfit may be."""
+    if not fit.solution.fit.misfit:
+        return fit
+    plain = again(replace(fit.procedure, limits=lambda _: {})).solution
+    return replace(fit, known=replace(fit.known, plain=plain))
 
 
 def payloads(fit: Fit) -> dict[int, tuple[float, float]]:
