@@ -1,7 +1,7 @@
 """What the controller knows of a machine: its axes, and the kinematics of its arm.
 
 The first axis turns the column with a motor. The others have cylinders and move the tip in the plane of the
-arm, two or more. Coordinates q are in the order of the axes; the columns of the Jacobian of the tip are those
+arm, two or more. The plane may be beside the axis of the column. Coordinates q are in the order of the axes; the columns of the Jacobian of the tip are those
 of the arm, without the column's.
 
 Two revolute joints give the tip a velocity in one way. Other arms can do it in many ways, or have joints of
@@ -129,20 +129,34 @@ class Arm:
     # ---- geometry
 
     def _place(self, q: ca.SX, p: Any) -> ca.SX:
-        """Distance of the tip from the axis of the column, and its height [m], at coordinates of the arm."""
+        """Of the tip, about the axis of the column at 0: radius, height [m], angle [rad]; q: of the arm.
+
+        The angle is that of an arm beside the axis, atan(y/x); else 0.
+        """
         at = kinematics(self.joints, p).position(ca.vertcat(0, q), len(self.joints) - 1, self.tip_at(p))
-        return ca.vertcat(at[0] - self.joints[0].link(p).at[0], at[2])
+        x, y = (at[k] - self.joints[0].link(p).at[k] for k in (0, 1))
+        if y.is_zero():
+            return ca.vertcat(x, at[2], 0)
+        return ca.vertcat(ca.sqrt(x**2 + y**2), at[2], ca.atan2(y, x))
 
     def point(self, q: Coordinates, p: Any) -> Point:
         """Radius and height of the tip [m]."""
-        radius, height = ca.vertsplit(self._place(ca.SX(column(*q[1:])), p))
+        radius, height, _ = ca.vertsplit(self._place(ca.SX(column(*q[1:])), p))
         return radius, height
+
+    def _jacobian(self, q: Coordinates, p: Any) -> list[list[ca.SX]]:
+        """Rows: d(radius, height, angle)/dq of the joints of the arm."""
+        s = ca.SX.sym("q", len(q) - 1)
+        found = ca.substitute(ca.jacobian(self._place(s, p), s), s, ca.SX(column(*q[1:])))
+        return [[found[i, k] for k in range(len(q) - 1)] for i in range(3)]
 
     def columns(self, q: Coordinates, p: Any) -> list[Point]:
         """Of the Jacobian of the tip: d(radius, height)/dq of each joint of the arm."""
-        s = ca.SX.sym("q", len(q) - 1)
-        jacobian = ca.substitute(ca.jacobian(self._place(s, p), s), s, ca.SX(column(*q[1:])))
-        return [(jacobian[0, k], jacobian[1, k]) for k in range(len(q) - 1)]
+        return [*zip(*self._jacobian(q, p)[:2], strict=True)]
+
+    def _turned(self, q: Coordinates, speeds: Coordinates, p: Any) -> Scalar:
+        """Speed at which the joints of the arm turn the tip about the axis of the column [rad/s]."""
+        return sum(r * s for r, s in zip(self._jacobian(q, p)[2], speeds, strict=True))
 
     def pistons(self, q: Coordinates, p: Any) -> Pistons:
         """Positions and levers of the actuators."""
@@ -265,12 +279,14 @@ class Arm:
 
     def tip(self, q: Coordinates, p: Any) -> Cylindrical:
         """Position of the tip."""
-        return Cylindrical(*self.point(q, p), q[0])
+        radius, height, angle = ca.vertsplit(self._place(ca.SX(column(*q[1:])), p))
+        return Cylindrical(radius, height, q[0] + angle)
 
     def tip_velocity(self, q: Coordinates, speeds: Coordinates, p: Any) -> Cylindrical:
         """Velocity of the tip."""
         moved = [(s * r, s * h) for s, (r, h) in zip(speeds[1:], self.columns(q, p), strict=True)]
-        return Cylindrical(sum(r for r, _ in moved), sum(h for _, h in moved), speeds[0])
+        angle = speeds[0] + self._turned(q, speeds[1:], p)
+        return Cylindrical(sum(r for r, _ in moved), sum(h for _, h in moved), angle)
 
     def carried(
         self,
@@ -347,8 +363,8 @@ class Arm:
         height = velocity.height - sum(z * c[1] for z, c in zip(wish, columns, strict=True))
         y1 = (m22 * radius - m12 * height) / determinant
         y2 = (m11 * height - m12 * radius) / determinant
-        found = (z + (c[0] * y1 + c[1] * y2) / w for z, c, w in zip(wish, columns, weights, strict=True))
-        return (velocity.angle, *found)
+        found = [z + (c[0] * y1 + c[1] * y2) / w for z, c, w in zip(wish, columns, weights, strict=True)]
+        return (velocity.angle - self._turned(q, found, p), *found)
 
 
 def names_in(p: Any) -> Any:

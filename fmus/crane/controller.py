@@ -45,15 +45,11 @@ CENTRING = 0.3  # 1
 
 def controlled(crane: CraneDescription) -> tuple[JointDescription, ...]:
     """The joints that the controller moves, the slewing joint first; a Problem if it cannot."""
-    way, end = crane.arm
-    slew, *others = way
+    slew, *others = crane.arm[0]
     moved = [j for j in others if not j.follows]
-    sideways = {j.name for j in (*way[1:], end) if j and j["at_y"] != 0}
-    sideways |= {"payload"} if end is None and crane.numbers["payload"]["tip_y"].value else set()
     rules = {
         f"[{slew.name}] drive {slew.drive}, axis {slew.axis}": (slew.drive, slew.axis) == ("motor", "z"),
         f"{len(moved)} cylinders in the arm": len(moved) > 1,
-        f"[{', '.join(sorted(sideways))}] at is not in its plane": not sideways,
     }
     for j in others:
         rules[f"[{j.name}] axis {j.axis}"] = j.axis[-1] in ("y" if j.kind == "revolute" else "xz")

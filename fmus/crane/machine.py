@@ -318,7 +318,7 @@ def tracked(system: System) -> tuple[TrackedMachine, Mechanics] | None:
     crane = read(Path(str(file)), file.read())
     controlled(crane)  # tells why the machine has no controller
     machine, name = crane_machine(crane), system.name.removesuffix(CONTROLLED).removesuffix(SENSED)
-    tip = ("crane_tip_radius", "crane_tip_height", crane.joints[0].coordinate)
+    tip = ("crane_tip_radius", "crane_tip_height", "crane_tip_angle")
     own = TrackedMachine(
         example=f"{name}{CONTROLLED}.ssp",
         alone="drives=lumped",

@@ -256,12 +256,16 @@ def crane_tip(crane: CraneDescription, p: Any) -> Vector:
     return joint_model((*way, end), end).link(p).at if end else (p.tip_at_x, p.tip_at_y, p.tip_at_z)
 
 
+def _slew(crane: CraneDescription) -> JointDescription:
+    """The first driven joint of the arm, or its first joint."""
+    return next((j for j in crane.arm[0] if j.driven), crane.arm[0][0])
+
+
 def mechanics(
     crane: CraneDescription, parameters: type[Any], states: type[Any], inputs: type[Any], outputs: type[Any]
 ) -> Mechanics:
     """The functions of the subsystem with these groups."""
-    names, (way, _) = [j.name for j in crane.joints], crane.arm
-    slew = next((j for j in way if j.driven), way[0])
+    names, (way, _), slew = [j.name for j in crane.joints], crane.arm, _slew(crane)
 
     def payload(mass: Scalar, p: Any) -> Payload:
         across = [(n != crane.along) * p.load_length**2 / 12 for n in "xyz"]
@@ -276,7 +280,15 @@ def mechanics(
         tip = chain.position(q, load.link, load.at)
         end = chain.position(q, names.index(way[-1].name), crane_tip(crane, p))
         across = (end - chain.position(q, names.index(slew.name)))[:2]
+        turned = dict[str, Scalar]()
+        if slew.axis == "z":
+            k, still = names.index(slew.name), ca.SX(q)
+            still[k] = 0
+            arm = chain.position(still, names.index(way[-1].name), crane_tip(crane, p))
+            x, y = ca.vertsplit((arm - chain.position(still, k))[:2])
+            turned["crane_tip_angle"] = q[k] if y.is_zero() else q[k] + ca.atan2(y, x)
         return {
+            **turned,
             **{f"tip_{n}": tip[k] for k, n in enumerate("xy")},
             "tip_radius": ca.sqrt(tip[0] ** 2 + tip[1] ** 2),
             "tip_height": tip[2],
@@ -361,6 +373,10 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         "m", "Distance of the crane tip, the end of the driven arm, from the slewing joint, seen from above"
     )
     shown["crane_tip_height"] = Quantity("m", "Height of the crane tip above the base")
+    if _slew(crane).axis == "z":
+        shown["crane_tip_angle"] = Quantity(
+            "rad", "Angle of the crane tip about the slewing joint, counter-clockwise from above"
+        )
     shown["elastic_energy"] = Quantity(
         "J",
         "Elastic energy of springs and friction, of the ground, and of the stops of joints without a drive",

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from fmus.crane.axes import AxisCheck, Speeds, stops
 from fmus.crane.description import (
+    AXES,
     ENDS,
     INERTIAS,
     MOST_JOINTS,
@@ -41,6 +42,7 @@ ALIGNED, ROUNDED = 0.3, 1e-6  # deg: of an axis that is taken as x, y or z: pi/2
 MOST_BYTES = 16_000_000
 ROUNDING = 1e-12  # of numbers that become zero
 RADIUS = 0.06  # m, of the bars that are shown
+DIRECTIONS = {n: (-1.0 if n[0] == "-" else 1.0) * np.eye(3)["xyz".index(n[-1])] for n in AXES}
 
 
 # ---- export
@@ -221,11 +223,39 @@ def _imported(source: Path, target: Path) -> str:
         files = first_names(sorted(meshes))
         notes.append(f"note: left out: {files}: shape of a joint takes a mesh in a binary glTF file (.glb)")
     passive = [name for name, table in tables.items() if "follows" not in table]
-    text = "".join(_lines(tables, str(robot.get("name") or source.stem)))
+    note = "from a URDF"
+    if turned_by := _along_x(tables):
+        note += f", turned by {turned_by} deg about z, so that the arm lies along x"
+        notes.append(f"note: {note}")
+    text = "".join(_lines(tables, str(robot.get("name") or source.stem), note))
     write_whole(target, text.encode())
     missing = f"drive, cylinder or motor, and hydraulics of the driven ones of {', '.join(passive)}"
     told = f"{target}: {len(tables)} joints. Still missing: {missing}; [payload] at; [start]; [supply]"
     return "\n".join([told, *notes])
+
+
+def _along_x(tables: Mapping[str, dict[str, Any]]) -> int:
+    """Turn all frames about z, so that the arm lies along x with all joints at 0; by how much [deg].
+
+    The arm lies across the horizontal axis that most revolute joints have, or the first of them, on the side
+    where its farthest centre of mass or joint is.
+    """
+    places = {BASE: np.zeros(3)}
+    for name, table in tables.items():
+        places[name] = places[table["parent"]] + table["at"]
+    axes = [t["axis"][-1] for t in tables.values() if t["joint"] == "revolute" and t["axis"][-1] != "z"]
+    if not axes:
+        return 0
+    along = 1 if Counter(axes).most_common(1)[0][0] == "x" else 0
+    ends = [places[n][along] + x for n, table in tables.items() for x in (0.0, table["body"].centre[along])]
+    backwards = min(ends) < -max(ends)
+    quarters = (1 if backwards else -1) if along else 2 * backwards
+    turn = np.rint(Rotation.from_euler("z", 90 * quarters, degrees=True).as_matrix())
+    for table in tables.values():
+        axis = turn @ DIRECTIONS[table["axis"]]
+        table["axis"] = next(n for n, other in DIRECTIONS.items() if np.array_equal(axis, other))
+        table["at"], table["body"] = turn @ table["at"], table["body"].moved(turn, np.zeros(3))
+    return 90 * quarters
 
 
 def _table(joint: Any, turned: Array, leaders: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
@@ -321,8 +351,8 @@ def _body(link: Any) -> _Body:
     return _Body(mass, _numbers(origin, "xyz", "0 0 0"), turn @ own @ turn.T)
 
 
-def _lines(tables: Mapping[str, Mapping[str, Any]], title: str) -> Iterator[str]:
-    yield f'title = {quoteattr(title)}\nsource = "assumed"\nnote = "from a URDF"\n'
+def _lines(tables: Mapping[str, Mapping[str, Any]], title: str, note: str) -> Iterator[str]:
+    yield f'title = {quoteattr(title)}\nsource = "assumed"\nnote = "{note}"\n'
     for name, table in tables.items():
         body: _Body = table["body"]
         entries = {"at": table["at"], "mass": body.mass, "centre": body.centre}

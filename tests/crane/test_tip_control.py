@@ -136,6 +136,36 @@ def test_an_arm_that_the_controller_does_not_know_is_told(tmp_path):
     problem(lambda: controlled(crane), r"got \[second\] follows lamp$")
 
 
+@pytest.mark.parametrize("beside", ["117 mm", "-0.4 m"])
+def test_an_arm_beside_the_slewing_axis_moves_its_tip_as_asked(tmp_path, beside):
+    """Velocities of the tip are the derivatives of its place, and the speeds of the joints give them.
+
+    Its angle about the axis is that of x and y: atan(d/sqrt(r^2 - d^2)) ahead of the slew.
+    """
+    boom = '["-180 mm", 0, "1274 mm"]'
+    sub = crane_machine(read(changed(tmp_path, (boom, boom.replace("0,", f'"{beside}",'))))).controller
+    arm, p = sub.model.arm, nested(sub.parameters, values(sub).p)
+    q, rates, wanted = (ca.SX.sym(n, size) for n, size in (("q", 4), ("rates", 4), ("wanted", 3)))
+    each = ca.vertsplit(q)
+
+    def parts(at):
+        return column(at.radius, at.height, at.angle)
+
+    place = parts(arm.tip(each, p))
+    speeds = column(*arm.joint_speeds(each, Cylindrical(*ca.vertsplit(wanted)), p))
+    given = parts(arm.tip_velocity(each, ca.vertsplit(rates), p))
+    found = ca.Function(
+        "f", [q, rates, wanted], [place, given - ca.jtimes(place, q, rates), ca.jtimes(place, q, speeds)]
+    )
+    at, zero, moved = (
+        x.full()[:, 0] for x in found([0.3, 0.35, -1.05, 0.4], [0.1, 0.2, -0.3, 0.05], [0.5, 0.2, 0.1])
+    )
+    d = float(beside.split()[0]) * (1e-3 if "mm" in beside else 1)
+    assert at[2] == pytest.approx(0.3 + math.atan(d / math.sqrt(at[0] ** 2 - d**2)), abs=1e-12)
+    assert zero == pytest.approx(np.zeros(3), abs=1e-12)  # rounding
+    assert moved == pytest.approx([0.5, 0.2, 0.1], abs=1e-9)  # far from singular: not damped
+
+
 def test_a_place_out_of_reach_is_told():
     """With the place and the reason; elsewhere the pose has its tip at the place."""
     told = "^12,0,1: tip at radius 12 m, height 1 m: (out of reach, the arm comes to radius|the piston of)"

@@ -83,6 +83,24 @@ def test_an_exported_crane_comes_back(tmp_path):
         assert [one[n] for n in kept] == pytest.approx([other[n] for n in kept], abs=1e-11)
 
 
+@pytest.mark.parametrize("yaw", [90, -180, -90])
+def test_an_arm_that_lies_along_another_axis_is_turned(tmp_path, yaw):
+    """As people draw them, along y or backwards: the same crane as along x, and a note."""
+    text = export(crane(), checked(), SPEEDS)
+    base = f'<joint name="fixed" type="fixed"><origin rpy="0 0 {np.radians(yaw)}"/><parent link="world"/>'
+    base = f'<link name="world"/>{base}<child link="base"/></joint>\n  <link name="base"/>'
+    read_as = []
+    for name, urdf in {"along": text, "turned": text.replace('<link name="base"/>', base)}.items():
+        (tmp_path / f"{name}.urdf").write_text(urdf, encoding="utf-8")
+        told = imported(tmp_path / f"{name}.urdf", tmp_path / f"{name}.toml")
+        assert (f"turned by {-yaw} deg about z" in told) == (name == "turned")
+        read_as.append(read(tmp_path / f"{name}.toml"))
+    along, turned = read_as
+    for one, other in zip(along.joints, turned.joints, strict=True):
+        assert one.axis == other.axis
+        assert [other[n] for n in one.numbers] == pytest.approx([one[n] for n in one.numbers], abs=1e-11)
+
+
 TURN, Z, NAN = 'rpy="1.5707963267948966 0 0', '<axis xyz="0 0 1"/>', '<axis xyz="nan 0 1"/>'
 RING = '<link name="b"/><link name="c"/>' + JOINT.format("j5", "b", "c") + JOINT.format("j6", "c", "b")
 REFUSED = {
@@ -116,7 +134,8 @@ def test_rounded_angles_give_the_nearest_axis_and_a_note(tmp_path, written, off)
     told = imported(source, target).splitlines()
     slide = "-x" if written[0] == "-" else "x"  # its frame is turned back about y behind that turn
     assert f"note: j4: left out: the {off} deg between the axis and {slide}" in told
-    assert [j.axis for j in read(target).joints] == ["z", "y", slide]
+    axes = ["z", "y", "x"] if slide == "x" else ["z", "-y", "x"]  # an arm along -x is turned
+    assert [j.axis for j in read(target).joints] == axes
 
 
 def test_what_a_crane_has_no_key_for_is_told_and_a_comment(tmp_path):
