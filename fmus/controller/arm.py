@@ -1,7 +1,7 @@
 """What the controller knows of a machine: its axes, and the kinematics of its arm.
 
 The first axis turns the column with a motor. The others have cylinders and move the tip in the plane of the
-arm, two or more; this plane may lie beside the axis of the column. Coordinates q are in the order of the axes;
+arm, two or more; it may lie beside the axis of the column. Coordinates q are in the order of the axes;
 the columns of the Jacobian of the tip are those of the arm, without the column's.
 
 Two revolute joints give the tip a velocity in one way. Other arms can do it in many ways, or have joints of
