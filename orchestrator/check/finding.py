@@ -17,7 +17,6 @@ class Finding:
 
     rule      id of the rule, such as "unit.undefined"; if empty, the rule sets it
     text      file or variable, line, expected and actual value
-    tools     ids of the tools that are affected; empty: any tool
     thread    issue threads that report the problem, such as "FMPy#511"; the rule sets them
     places    texts of the findings that differ in their places only, if there are several
     """
@@ -25,24 +24,23 @@ class Finding:
     rule: str
     severity: Severity
     text: str
-    tools: tuple[str, ...] = ()
     thread: str = ""
     places: tuple[str, ...] = ()
 
 
-def error(text: str, *tools: str) -> Finding:
+def error(text: str) -> Finding:
     """A finding about a violation of the standard, or a fault that stops a tool."""
-    return Finding("", "error", text, tools)
+    return Finding("", "error", text)
 
 
-def warning(text: str, *tools: str) -> Finding:
+def warning(text: str) -> Finding:
     """A finding about wrong or poor results, or a fault that stops some tools on some machines."""
-    return Finding("", "warning", text, tools)
+    return Finding("", "warning", text)
 
 
-def note(text: str, *tools: str) -> Finding:
+def note(text: str) -> Finding:
     """A finding for information; nothing fails."""
-    return Finding("", "note", text, tools)
+    return Finding("", "note", text)
 
 
 MAKE = {"error": error, "warning": warning, "note": note}
