@@ -1,7 +1,8 @@
 """Findings of a check: faults of an FMU, and remarks."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, get_args
 
 from orchestrator.fmi.description import FmuVariable
@@ -28,22 +29,10 @@ class Finding:
     places: tuple[str, ...] = ()
 
 
-def error(text: str) -> Finding:
-    """A finding about a violation of the standard, or a fault that stops a tool."""
-    return Finding("", "error", text)
-
-
-def warning(text: str) -> Finding:
-    """A finding about wrong or poor results, or a fault that stops some tools on some machines."""
-    return Finding("", "warning", text)
-
-
-def note(text: str) -> Finding:
-    """A finding for information; nothing fails."""
-    return Finding("", "note", text)
-
-
-MAKE = {"error": error, "warning": warning, "note": note}
+# error: a violation of the standard, or a fault that stops a tool; warning: wrong or poor results, or a fault
+# that stops some tools on some machines; note: nothing fails
+MAKE: Mapping[str, Callable[[str], Finding]] = {s: partial(Finding, "", s) for s in SEVERITIES}
+error, warning, note = MAKE.values()
 
 
 def join_names(names: Sequence[str], limit: int = 5) -> str:
