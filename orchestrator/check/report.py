@@ -24,7 +24,6 @@ class Verdict:
 class JudgedTool:
     """One tool and its verdicts by rule; `basis` is the evidence for them."""
 
-    id: str
     name: str
     basis: str
     verdicts: Mapping[str, Verdict]
@@ -34,7 +33,7 @@ ANY = "any"
 
 
 TOOLS = {
-    id_: JudgedTool(id_, e["name"], e["basis"], {rule: Verdict(*v) for rule, v in e["verdicts"].items()})
+    id_: JudgedTool(e["name"], e["basis"], {rule: Verdict(*v) for rule, v in e["verdicts"].items()})
     for id_, e in tomllib.loads(Path(__file__).with_name("tools.toml").read_text("utf-8")).items()
 }
 

@@ -132,7 +132,7 @@ def test_the_docs_count_the_rules_and_verdicts(capsys: pytest.CaptureFixture[str
     text, total = DOCS.read_text("utf-8"), len(RULES)
     assert f"[{total} rules](reference/check-rules.md) {total - running} only read the FMU" in text
     assert f"{sum(bool(rule.threads) for rule in RULES)} rules name such threads" in text
-    for tool in TOOLS.values():
-        assert f"|`{tool.id}`|{tool.name}|{tool.basis}|{len(tool.verdicts)}|" in text
+    for id_, tool in TOOLS.items():
+        assert f"|`{id_}`|{tool.name}|{tool.basis}|{len(tool.verdicts)}|" in text
     for name in re.findall(r"`(run\.\w+)`", text):
         assert name in printed, name
