@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -46,17 +46,18 @@ def packages(
     step = min(step, sub.step)
     compiled = [main_source(sub.name)]
     printed, structure = printed_equations(interface), unknowns(interface)
-    drafts: list[dict[str, str]] = []  # both versions have one GUID, which depends on these files
+    drafts: dict[int, dict[str, str]] = {}  # both versions have one GUID, which depends on these files
     for version in VERSIONS:
         code = sources(interface, PLACEHOLDER, version, printed)
         description = model_description(
             interface, version, PLACEHOLDER, step, stop, compiled, structure=structure
         )
-        draft = {f"{SOURCES}{name}": text for name, text in code.items()}
-        drafts.append(draft | {"modelDescription.xml": description.decode()})
-    finished, result = dict(zip(VERSIONS, with_guid(drafts), strict=True)), dict[int, Files]()
+        drafts[version] = {f"{SOURCES}{name}": text for name, text in code.items()}
+        drafts[version]["modelDescription.xml"] = description.decode()
+    guid = guid_of(drafts.values())
+    result = {}
     for fmi in versions:
-        content = finished[fmi]
+        content = {path: text.replace(PLACEHOLDER, guid).encode() for path, text in drafts[fmi].items()}
         if fmi == 3:
             content["sources/buildDescription.xml"] = build_description(sub.name, compiled)
         content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, interface)  # FMI 2: since 2.0.4
@@ -64,11 +65,10 @@ def packages(
     return result
 
 
-def with_guid(drafts: Sequence[Mapping[str, str]]) -> list[Files]:
-    """Files by path with the GUID of an FMU that has all of them: different content gives a different one."""
+def guid_of(drafts: Iterable[Mapping[str, str]]) -> str:
+    """The GUID of an FMU with these files, by path; different content gives a different GUID."""
     text = "\n".join(files[path] for files in drafts for path in sorted(files))
-    guid = f"{{{uuid.uuid5(_NAMESPACE, text)}}}"
-    return [{path: t.replace(PLACEHOLDER, guid).encode() for path, t in files.items()} for files in drafts]
+    return f"{{{uuid.uuid5(_NAMESPACE, text)}}}"
 
 
 def common_files(

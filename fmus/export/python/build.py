@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fmus.contract import Subsystem
-from fmus.export.build import PLACEHOLDER, common_files, with_guid
+from fmus.export.build import PLACEHOLDER, Files, common_files, guid_of
 from fmus.export.c_code import main_source, sources, string
 from fmus.export.compile import binaries, shared_library
 from fmus.export.model_description import model_description
@@ -43,21 +43,8 @@ def build_user(path: Path, folder: Path, platforms: Sequence[str] | None = None,
             copy.write_bytes(path.read_bytes())
             files = {f"resources/{path.name}": path.read_bytes()} | _model_files(path, copy.parent)
             user = checked(copy, STEP)
-        interface, name = user.interface, user.interface.name
-        files |= common_files(_subsystem(user, path), interface, fmi, STEP, STOP)
-        card = {"name": name, "version": package_version(), "guid": PLACEHOLDER, "file": path.name}
-        description = model_description(interface, fmi, PLACEHOLDER, STEP, STOP, structure=structure(user))
-        draft = {"modelDescription.xml": description.decode()}
-        draft |= {f"resources/{MODEL_FILE}": json.dumps(card, indent=1)}
-        modules = {file: text.decode() for file, text in files.items() if file.endswith(".py")}
-        drafts = [draft, sources(interface, PLACEHOLDER, fmi, model=python_code()), modules]
-        finished, code, _ = with_guid(drafts)
-        compiled, linked = [main_source(name)], ("-lm", "-ldl")
-        names = platforms or (host(),)
-        libraries = {p: shared_library(name, code, compiled, p, linked) for p in names}
-        fmu = Path(folder) / f"{name}.fmu"
-        write_zip(fmu, {**finished, **files, **binaries(name, fmi, libraries)})
-        return fmu
+        files |= common_files(_subsystem(user, path), user.interface, fmi, STEP, STOP)
+        return _write(folder, user, path.name, files, fmi, platforms or (host(),))
     except Problem as problem:
         raise in_file(problem, path) from None
 
@@ -89,6 +76,32 @@ def _subsystem(user: UserModel, path: Path) -> Subsystem:
         observe=model.require,
         values=path.with_suffix(".toml"),
     )
+
+
+def _write(
+    folder: Path, user: UserModel, file: str, files: Files, fmi: int, platforms: Sequence[str]
+) -> Path:
+    """Write the FMU of a model to a folder; returns its path. `files`: further ones by path."""
+    interface, name = user.interface, user.interface.name
+    card = {"name": name, "version": package_version(), "guid": PLACEHOLDER, "file": file}
+    description = model_description(interface, fmi, PLACEHOLDER, STEP, STOP, structure=structure(user))
+    code = sources(interface, PLACEHOLDER, fmi, model=python_code())
+    shown = {
+        "modelDescription.xml": description.decode(),
+        f"resources/{MODEL_FILE}": json.dumps(card, indent=1),
+    }
+    modules = {path: text.decode() for path, text in files.items() if path.endswith(".py")}
+    guid = guid_of([shown, code, modules])
+    encoded = {path: text.replace(PLACEHOLDER, guid).encode() for path, text in code.items()}
+    libraries = {p: shared_library(name, encoded, [main_source(name)], p, ("-lm", "-ldl")) for p in platforms}
+    content = {
+        **{path: text.replace(PLACEHOLDER, guid).encode() for path, text in shown.items()},
+        **files,
+        **binaries(name, fmi, libraries),
+    }
+    path = Path(folder) / f"{name}.fmu"
+    write_zip(path, content)
+    return path
 
 
 def python_code() -> dict[str, str]:
