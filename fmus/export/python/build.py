@@ -43,6 +43,10 @@ def build_user(path: Path, folder: Path, platforms: Sequence[str] | None = None,
             copy.write_bytes(path.read_bytes())
             files = {f"resources/{path.name}": path.read_bytes()} | _model_files(path, copy.parent)
             user = checked(copy, STEP)
+        if [*user.model.files] != declared_files(path):
+            raise Problem(
+                f'{path.name}: files is not a plain list, expected one such as files = ("map.csv",)'
+            )
         files |= common_files(_subsystem(user, path), user.interface, fmi, STEP, STOP)
         return _write(folder, user, path.name, files, fmi, platforms or (host(),))
     except Problem as problem:

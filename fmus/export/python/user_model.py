@@ -465,11 +465,17 @@ def refuse_neighbours(path: Path) -> None:
 
 
 def declared_files(path: Path) -> list[str]:
-    """The names in `files` of the model in a file."""
-    try:
-        return [*load(path).files]
-    except (Exception, SystemExit) as problem:
-        raise in_file(problem, path) from None
+    """The value of `files` in the class, from the source: importing the module may read these files."""
+    classes = (node for node in ast.walk(_read(path)) if isinstance(node, ast.ClassDef))
+    for node in (statement for definition in classes for statement in definition.body):
+        target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+        value = getattr(node, "value", None)
+        if isinstance(target, ast.Name) and target.id == "files" and isinstance(value, ast.Tuple | ast.List):
+            try:
+                return [str(name) for name in ast.literal_eval(value)]
+            except ValueError:
+                break
+    return []
 
 
 # ---- dependencies ----------------------------------------------------------------------------------
