@@ -11,7 +11,7 @@ from orchestrator.base.errors import Problem
 # extra -> modules that it brings, as they are imported; the same packages are in pyproject.toml
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "model": ("casadi", "scipy"),
-    "build": ("casadi", "fmpy", "latex2mathml", "markdown_it", "scipy", "ziglang"),
+    "build": ("casadi", "fmpy", "latex2mathml", "markdown_it", "pythonfmu", "scipy", "ziglang"),
     "view": ("starlette", "uvicorn", "websockets"),
     "sweep": ("SALib", "dask", "distributed", "locket", "pandas", "pyarrow", "scipy"),
     "identify": ("casadi", "scipy", "statsmodels", "ziglang"),

@@ -12,6 +12,7 @@ from pathlib import Path
 import lief
 import numpy as np
 import pytest
+import pythonfmu
 from fmpy import read_model_description
 from kit import shards
 from kit.any_fmu.edit import edited, renamed
@@ -37,6 +38,15 @@ try:
     Fmu(Path(sys.argv[1]))
 except Exception as problem:
     print(type(problem).__name__)
+"""
+
+PUSHED = """
+import os, sys
+from pathlib import Path
+from kit.fmu import Fmu
+fmu = Fmu(Path(sys.argv[1])).start(boom_command=3.0)
+print(fmu.step(1e-3, 50).get("boom_force", "stick_force").tobytes().hex(), flush=True)
+os._exit(0)
 """
 
 
@@ -102,6 +112,23 @@ def test_there_is_a_library_for_each_platform(tmp_path, platform):
     names = [str(getattr(needed, "name", needed)) for needed in parsed.libraries]
     assert names
     assert not [name for name in names if re.search(r"libpython|python3|Python\.framework", name)]
+
+
+def test_pythonfmu_runs_the_same_slave(actuator, tmp_path):
+    """With the library of PythonFMU the slave gives the same results.
+
+    In a process of its own: that library frees a dictionary of the script's module once too often.
+    """
+    theirs = tmp_path / "theirs.fmu"
+    folder = Path(pythonfmu.__file__).parent / "resources" / "binaries"
+    with zipfile.ZipFile(actuator) as archive:
+        content = {n: archive.read(n) for n in archive.namelist() if not n.startswith("binaries/")}
+    for path in folder.rglob("*pythonfmu-export.*"):
+        content[f"binaries/{path.parent.name}/my_actuator{path.suffix}"] = path.read_bytes()
+    write_zip(theirs, content)
+    found = [in_new_process(PUSHED, path).splitlines()[-1] for path in (actuator, theirs)]
+    assert found[0] == found[1]
+    assert len(found[0]) == 32
 
 
 # ---- An FMU in Python in the machine: the example's model by hand

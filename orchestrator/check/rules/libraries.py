@@ -347,8 +347,6 @@ def _evidence(subject: Subject) -> Iterator[str]:
     tool = "" if subject.root is None else str(subject.root.get("generationTool", ""))
     if "resources/slavemodule.txt" in subject.files or "pythonfmu" in tool.lower():
         yield "it was made by PythonFMU"
-    elif "harvester-cosim" in tool and "resources/model.json" in subject.files:
-        yield "it was made of a model in Python"
     launcher = "resources/launch.toml"
     if launcher in subject.files and "python" in (subject.folder / launcher).read_text("utf-8", "replace"):
         yield f"{launcher} starts Python"
