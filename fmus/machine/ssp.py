@@ -86,9 +86,8 @@ def write_systems(
                 shared=machine.shared,
                 common=machine.oil,
             )
-            columns = ((*reversed(drivers), *machine.feeding), parts, (ARM,))
             path = Path(folder) / f"{machine.name}{end}.ssp"
-            found.append(write_ssp(system, path, sets, plan.bound, resources=resources, columns=columns))
+            found.append(write_ssp(system, path, sets, plan.bound, resources=resources))
     return found
 
 

@@ -12,7 +12,6 @@ from orchestrator.base.errors import Problem
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "model": ("casadi", "scipy"),
     "build": ("casadi", "fmpy", "latex2mathml", "markdown_it", "pythonfmu", "scipy", "ziglang"),
-    "check": ("fmpy",),
     "view": ("starlette", "uvicorn", "websockets"),
     "sweep": ("SALib", "dask", "distributed", "locket", "pandas", "pyarrow", "scipy"),
     "identify": ("casadi", "scipy", "statsmodels", "ziglang"),
@@ -26,7 +25,6 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
 NEEDED_BY: Mapping[str, str] = {
     "model": "`harvester parameters`, `variants`, `track`, `rig`; the equations in `fmus`",
     "build": "`harvester build`, `crane`; `fmus.build`; in `batch` and `sweep` several machines on each core",
-    "check": "in `harvester check`: validation by FMPy, and results of Model Exchange",
     "view": "`harvester view`",
     "sweep": "`harvester sweep`, `convergence`",
     "identify": "`harvester identify`",

@@ -335,53 +335,33 @@ def _factors(text: str) -> list[tuple[str, int]]:
     """Symbols and powers of "a.b2/(c.d)"; a divisor without brackets is a single factor."""
     if len(text) > MAX_LENGTH:
         raise _UnknownUnit
-    parser = _Parser(list(_tokens(text)))
-    factors = parser.product()
-    if parser.tokens:
+    tokens = [*_TOKEN.finditer(text)]
+    if sum(len(token[0]) for token in tokens) < len(text):
+        raise _UnknownUnit
+    factors = _read_product(tokens)
+    if tokens:
         raise _UnknownUnit
     return factors
 
 
-def _tokens(text: str) -> Iterator[re.Match[str]]:
-    position = 0
-    while position < len(text):
-        token = _TOKEN.match(text, position)
-        if token is None:
-            raise _UnknownUnit
-        yield token
-        position = token.end()
-
-
-@dataclass
-class _Parser:
-    """Recursive-descent parser of products, quotients and brackets; `tokens` are those not yet read."""
-
-    tokens: list[re.Match[str]]
-
-    def product(self) -> list[tuple[str, int]]:
-        """Factors joined by "." and "/"."""
-        factors, inverse = self._factor(), False
-        while sign := self._accept(".", "/"):
-            if inverse and sign == ".":
-                raise _UnknownUnit  # a/b.c is ambiguous: brackets are required
-            inverse = sign == "/"
-            factors += [(name, -power if inverse else power) for name, power in self._factor()]
-        return factors
-
-    def _factor(self) -> list[tuple[str, int]]:
-        if self._accept("("):
-            factors = self.product()
-            if not self._accept(")"):
+def _read_product(tokens: list[re.Match[str]]) -> list[tuple[str, int]]:
+    """Factors joined by "." and "/", up to a closing bracket or the end; removes their tokens."""
+    factors, inverse = list[tuple[str, int]](), False
+    while tokens and tokens[0][0] not in "./)":
+        token = tokens.pop(0)
+        inner = [] if token[0] == "1" else [(token["name"], int(token["power"] or 1))]
+        if token[0] == "(":
+            inner = _read_product(tokens)
+            if not tokens or tokens.pop(0)[0] != ")":
                 raise _UnknownUnit
+        factors += [(name, -power if inverse else power) for name, power in inner]
+        if not tokens or tokens[0][0] == ")":
             return factors
-        if not self.tokens or self.tokens[0][0] in "./)":
-            raise _UnknownUnit
-        token = self.tokens.pop(0)
-        return [] if token[0] == "1" else [(token["name"], int(token["power"] or 1))]
-
-    def _accept(self, *signs: str) -> str:
-        """Consume the next token if it is one of these; else return an empty text."""
-        return self.tokens.pop(0)[0] if self.tokens and self.tokens[0][0] in signs else ""
+        sign = tokens.pop(0)[0]
+        if sign not in "./" or (inverse and sign == "."):  # a/b.c is ambiguous: brackets are required
+            break
+        inverse = sign == "/"
+    raise _UnknownUnit
 
 
 @dataclass(frozen=True)

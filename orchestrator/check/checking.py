@@ -1,7 +1,5 @@
-"""The check of one FMU: applies all rules, and leaves out what FMPy repeats."""
+"""The check of one FMU: applies all rules."""
 
-import re
-from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator.base.errors import Problem
@@ -12,7 +10,6 @@ from orchestrator.check.probes import PROBES
 from orchestrator.check.report import ANY, TOOLS, CheckReport
 from orchestrator.check.rule import CheckRule
 from orchestrator.check.rules import STATIC
-from orchestrator.check.rules.identity import FMPY, FMPY_FAILS
 from orchestrator.check.subject import Subject, open_subject
 from orchestrator.fmi.description import INTERFACES
 
@@ -38,7 +35,7 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
         running = [pool.submit(_findings, rule, subject) for rule in rules if rule not in STATIC]
         findings = [finding for rule in rules if rule in STATIC for finding in _findings(rule, subject)]
         findings += [finding for future in running for finding in future.result()]
-        return CheckReport(path, _title(subject), _without_repeats(findings, rules), tool)
+        return CheckReport(path, _title(subject), tuple(findings), tool)
 
 
 def _findings(rule: CheckRule, subject: Subject) -> list[Finding]:
@@ -48,19 +45,6 @@ def _findings(rule: CheckRule, subject: Subject) -> list[Finding]:
     except Exception as problem:
         text = f"rule {rule.id} could not be applied: {type(problem).__name__}: {problem}"
         return [Finding(DEFECT, "warning", text)]
-
-
-def _without_repeats(findings: Sequence[Finding], rules: Sequence[CheckRule]) -> tuple[Finding, ...]:
-    """The findings without those of FMPy that another rule reports or that follow from a reported error."""
-    others = [f for f in findings if f.rule != FMPY]
-    ids, has_errors = {f.rule for f in others}, any(f.severity == "error" for f in others)
-    patterns = [rule.repeated for rule in rules if rule.repeated and rule.id in ids]
-
-    def repeated(f: Finding) -> bool:
-        follows = has_errors and f.text.startswith(f"FMPy {FMPY_FAILS}")
-        return f.rule == FMPY and (follows or any(re.search(pattern, f.text) for pattern in patterns))
-
-    return tuple(f for f in findings if not repeated(f))
 
 
 def _title(subject: Subject) -> str:

@@ -1,7 +1,8 @@
 """Findings of a check: faults of an FMU, and remarks."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, get_args
 
 from orchestrator.fmi.description import FmuVariable
@@ -17,7 +18,6 @@ class Finding:
 
     rule      id of the rule, such as "unit.undefined"; if empty, the rule sets it
     text      file or variable, line, expected and actual value
-    tools     ids of the tools that are affected; empty: any tool
     thread    issue threads that report the problem, such as "FMPy#511"; the rule sets them
     places    texts of the findings that differ in their places only, if there are several
     """
@@ -25,27 +25,14 @@ class Finding:
     rule: str
     severity: Severity
     text: str
-    tools: tuple[str, ...] = ()
     thread: str = ""
     places: tuple[str, ...] = ()
 
 
-def error(text: str, *tools: str) -> Finding:
-    """A finding about a violation of the standard, or a fault that stops a tool."""
-    return Finding("", "error", text, tools)
-
-
-def warning(text: str, *tools: str) -> Finding:
-    """A finding about wrong or poor results, or a fault that stops some tools on some machines."""
-    return Finding("", "warning", text, tools)
-
-
-def note(text: str, *tools: str) -> Finding:
-    """A finding for information; nothing fails."""
-    return Finding("", "note", text, tools)
-
-
-MAKE = {"error": error, "warning": warning, "note": note}
+# error: a violation of the standard, or a fault that stops a tool; warning: wrong or poor results, or a fault
+# that stops some tools on some machines; note: nothing fails
+MAKE: Mapping[str, Callable[[str], Finding]] = {s: partial(Finding, "", s) for s in SEVERITIES}
+error, warning, note = MAKE.values()
 
 
 def join_names(names: Sequence[str], limit: int = 5) -> str:

@@ -154,7 +154,7 @@ def run_possible(subject: Subject) -> Iterator[Finding]:
 
 
 def run_load(subject: Subject) -> Iterator[Finding]:
-    """The binary for this machine loads and exports the functions of its interfaces."""
+    """The binary for this machine loads, and returns the FMI version of the description."""
     first = first_run(subject)
     yield from _findings(first, first.loaded)
 

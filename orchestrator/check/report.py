@@ -24,7 +24,6 @@ class Verdict:
 class JudgedTool:
     """One tool and its verdicts by rule; `basis` is the evidence for them."""
 
-    id: str
     name: str
     basis: str
     verdicts: Mapping[str, Verdict]
@@ -34,7 +33,7 @@ ANY = "any"
 
 
 TOOLS = {
-    id_: JudgedTool(id_, e["name"], e["basis"], {rule: Verdict(*v) for rule, v in e["verdicts"].items()})
+    id_: JudgedTool(e["name"], e["basis"], {rule: Verdict(*v) for rule, v in e["verdicts"].items()})
     for id_, e in tomllib.loads(Path(__file__).with_name("tools.toml").read_text("utf-8")).items()
 }
 
@@ -58,12 +57,10 @@ class CheckReport:
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """The findings that affect the tool, worst first, with the severity that they have for it."""
+        """The findings, worst first, with the severity that they have for the tool."""
         if self.tool == ANY:
             return tuple(sorted(self.all_findings, key=_rank))
-        verdicts = TOOLS[self.tool].verdicts
-        affected = [f for f in self.all_findings if not f.tools or self.tool in f.tools or f.rule in verdicts]
-        return tuple(sorted((_for_tool(f, self.tool) for f in affected), key=_rank))
+        return tuple(sorted((_for_tool(f, self.tool) for f in self.all_findings), key=_rank))
 
     def count(self, severity: str) -> int:
         """Number of rules with findings of this severity."""
@@ -95,9 +92,7 @@ class CheckReport:
         """The counts in one line."""
         counts = [(self.count(s), s) for s in SEVERITIES]
         text = ", ".join(f"{n} {s}{'' if n == 1 else 's'}" for n, s in counts)
-        hidden = len(self.all_findings) - len(self.findings)
-        others = f"; {hidden} more for other tools" if hidden else ""
-        return (text if self.findings else "nothing found") + others
+        return text if self.findings else "nothing found"
 
     def _lines(self, findings: list[Finding]) -> Iterator[str]:
         width = max(len(f.rule) for f in findings)

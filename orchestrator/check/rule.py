@@ -31,7 +31,6 @@ class CheckRule:
     clause    of the standard on which errors are based; empty: the rule gives warnings at most
     threads   issue threads that report violations
     fmi       versions of FMUs to which the rule applies; empty: to any file
-    repeated  pattern of the messages of FMPy on the same fault
     """
 
     id: str
@@ -41,7 +40,6 @@ class CheckRule:
     threads: str = ""
     severity: Severity = "warning"
     fmi: Sequence[int] = ()
-    repeated: str = ""
 
     def __call__(self, subject: Subject) -> Iterator[Finding]:
         """All findings, with the id and the threads of this rule."""
@@ -54,7 +52,7 @@ class CheckRule:
             severity = finding.severity if self.clause or finding.severity != "error" else "warning"
             complete = replace(finding, rule=self.id, severity=severity, text=text, thread=self.threads)
             kind = _kind(text) if PLACE.match(text) else number
-            kinds.setdefault((severity, finding.tools, kind), []).append(complete)
+            kinds.setdefault((severity, kind), []).append(complete)
         yield from map(_joined, kinds.values())
         if next(findings, None) is not None:
             text = f"more than {MAX_FINDINGS} findings of this rule; the others are left out"

@@ -25,8 +25,8 @@ def check(
     The exit status is 1 if there are errors.
 
     fmu       Any .fmu file; not needed with `rules`.
-    for       Only findings that affect this tool: simulink, dymola, openmodelica, amesim, fmpy, fmusim,
-              pyfmi, omsimulator, ecos or libcosim; any: all findings.
+    for       Judge the findings for this tool: simulink, dymola, openmodelica, amesim, fmpy, fmusim, pyfmi,
+              omsimulator, ecos or libcosim; any: by the standard.
     json      Also write the findings to this file (.json); default: none.
     static    Only inspect the file; run no code of the FMU.
     timeout   Time [s], above 0; a call to the FMU that takes longer counts as a hang.

@@ -45,7 +45,7 @@ from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import declarations
-from orchestrator.base.xml import XmlElement, boolean, finite, integer, local_name
+from orchestrator.base.xml import XmlElement, finite, integer, local_name
 from orchestrator.ssp.coupling import Coupling, Suggestion
 
 OWN, COUPLING, SHARED, COMMON = "harvester-cosim", "Coupling", "SharedParameter", "CommonParameter"
@@ -106,25 +106,15 @@ def ignored_annotations(roots: Sequence[XmlElement]) -> list[str]:
 # ---- annotation of this project ----------------------------------------------------------------------------
 
 
-class Attribute(NamedTuple):
-    """The type of an attribute; `read` raises ValueError if the text is not as expected."""
-
-    expected: str
-    read: Callable[[str], Any]
-
-
-_TEXT, _WHOLE = Attribute("a text", str), Attribute("a whole number", integer)
-_NUMBER, _TRUTH = Attribute("a number", finite), Attribute("true or false", boolean)
-ATTRIBUTES: Mapping[str, Attribute] = {
-    "master": _TEXT,
-    "step": _NUMBER,
-    **{
-        name: {bool: _TRUTH, int: _WHOLE, float: _NUMBER}.get(option.types[0], _TEXT)
-        for name, option in declarations(Coupling).items()
-        if option.mapping is None
-    },
+# type of an attribute -> what is expected, and what reads it or raises ValueError
+READERS: Mapping[Any, tuple[str, Callable[[str], Any]]] = {
+    None: ("a text", str),
+    int: ("a whole number", integer),
+    float: ("a number", finite),
 }
-FACTOR: Mapping[str, Attribute] = {"component": _TEXT, "steps": _WHOLE}
+SETTINGS = {name: option.numeric for name, option in declarations(Coupling).items() if not option.mapping}
+ATTRIBUTES: Mapping[str, Any] = SETTINGS | {"master": None, "step": float}
+FACTOR: Mapping[str, Any] = {"component": None, "steps": int}
 
 
 def _own_elements(root: XmlElement) -> Iterator[XmlElement]:
@@ -153,17 +143,18 @@ def _factors(element: XmlElement) -> dict[str, int]:
     return factors
 
 
-def _attributes(element: XmlElement, types: Mapping[str, Attribute]) -> dict[str, Any]:
+def _attributes(element: XmlElement, types: Mapping[str, Any]) -> dict[str, Any]:
     """The attributes of an element, converted to their types."""
     values = dict[str, Any]()
     for name, text in element.attributes.items():
         if name not in types:
             hint = suggest(name, types) or f"; there are {', '.join(types)}"
             raise element.problem(f"unknown attribute {name!r}{hint}")
+        expected, read = READERS[types[name]]
         try:
-            values[name] = types[name].read(text.strip())
+            values[name] = read(text.strip())
         except ValueError:
-            raise element.problem(f"expected {types[name].expected} for {name}, got {text!r}") from None
+            raise element.problem(f"expected {expected} for {name}, got {text!r}") from None
     return values
 
 

@@ -13,9 +13,10 @@ from pathlib import Path
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, archive_kept_open, require_system
 from orchestrator.base.options import Seconds, seconds
-from orchestrator.base.units import IDENTITY, LinearTransformation, conversion, differences
+from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.annotations import COMMON, SHARED, ignored_annotations, read_shared, read_suggestion
+from orchestrator.ssp.common_elements import Transformation
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import bound_values, with_sets
 from orchestrator.ssp.swap import with_swaps
@@ -31,7 +32,9 @@ from orchestrator.ssp.system import (
 from orchestrator.ssp.system_structure import (
     DEFINITION,
     SINKS,
+    ConnectorType,
     FlatStructure,
+    IncomingConnection,
     read_structure,
     signal_paths,
 )
@@ -191,62 +194,31 @@ def assemble(
     shared        parameter -> components in which a parameter of this name is the same physical quantity
     common        the same, if different values get a note and are not refused
     """
-    components = {n: open_component(n, Location(Path(p))) for n, p in fmus.items()}
-    system = System(name, components)
-    notes: list[str] = []
-    checked, terminals = list[Connection](), Terminals(system)
+    flat = FlatStructure(name, {n: Location(Path(p)) for n, p in fmus.items()})
+    system = System(name, {n: open_component(n, file) for n, file in flat.sources.items()})
+    terminals = Terminals(system)
     for entry in connections:
         parts = [e.strip() for e in entry.split("->")] if isinstance(entry, str) else list(entry)
         if len(parts) not in (2, 3, 4):
             raise Problem(f"connection {entry!r}: expected 'a.y -> b.u' or (source, target, factor, offset)")
         linear = LinearTransformation(*(float(x) for x in parts[2:]))
-        ends = terminals.pairs(str(parts[0]), str(parts[1]))
-        checked += [_connect(system, *pair, linear, notes) for pair in ends]
-    inlets = {n: _assembled_inlet(system, n, ends, notes) for n, ends in (inputs or {}).items()}
-    _check_one_source(checked, inlets)
+        for source, target in terminals.pairs(str(parts[0]), str(parts[1])):
+            check_connection(system, source, target, linear)
+            flat.connect(target, IncomingConnection(source, Transformation(linear)))
+    for inlet, targets in (inputs or {}).items():
+        ports = [system.port(target) for target in targets]
+        flat.connectors[Port("", inlet)] = ConnectorType("input", system.variable(ports[0]).unit)
+        for port in ports:
+            if (causality := system.variable(port).causality) != "input":
+                raise Problem(f"{inlet} -> {port}: expected an input, got {causality}")
+            flat.connect(port, IncomingConnection(Port("", inlet)))
     length = seconds(step, "step")
-    suggestion = Suggestion() if length is None else Suggestion(Coupling("gauss-seidel"), length)
     system = replace(
-        system,
-        connections=tuple(checked),
-        inputs=inlets,
+        _connected(flat, system),
         stop=seconds(stop, "stop"),
-        suggestion=suggestion,
-        notes=(*notes, *_driven_parameters(system, checked)),
+        suggestion=Suggestion() if length is None else Suggestion(Coupling("gauss-seidel"), length),
         shared={parameter: tuple(names) for parameter, names in (shared or {}).items()},
         common={parameter: tuple(names) for parameter, names in (common or {}).items()},
     ).with_start(start or {}, origin="")
     system.check_sharing()
     return system
-
-
-def _connect(
-    system: System, source: Port, target: Port, after: LinearTransformation, notes: list[str]
-) -> Connection:
-    """A checked connection with unit conversion."""
-    plain = check_connection(system, source, target, after)
-    units = system.variable(source).unit, system.variable(target).unit
-    labels = [f"{p} {unit}" if unit else str(p) for p, unit in zip((source, target), units, strict=True)]
-    differences(where := " -> ".join(labels), *units)
-    return replace(plain, map=conversion(*units, where, notes).then(after))
-
-
-def _assembled_inlet(system: System, name: str, targets: Sequence[str], notes: list[str]) -> Inlet:
-    """An input of the system, with unit conversions."""
-    ports = [system.port(target) for target in targets]
-    for port in ports:
-        if (causality := system.variable(port).causality) != "input":
-            raise Problem(f"{name} -> {port}: expected an input, got {causality}")
-    unit = system.variable(ports[0]).unit
-    maps = [conversion(unit, system.variable(p).unit, f"{name} {unit} -> {p}", notes) for p in ports]
-    return Inlet(name, unit, tuple(zip(ports, maps, strict=True)))
-
-
-def _check_one_source(connections: Iterable[Connection], inlets: Mapping[str, Inlet]) -> None:
-    """Refuse a component input with two sources."""
-    source_of: dict[Port, object] = {}
-    feeds = [(c.target, c.source) for c in connections]
-    for target, source in [*feeds, *((port, i.name) for i in inlets.values() for port, _ in i.targets)]:
-        if target in source_of:
-            raise Problem(f"{target}: expected one source, got {source_of[target]} and {source}")
-        source_of[target] = source

@@ -56,14 +56,9 @@ def with_swaps(system: System, swaps: Mapping[str, str | Path]) -> System:
         system, signals = _swap(system, name, find_fmu(system.source, name, chosen))
         lost += signals
     told = [(signal, signal.users(system)) for signal in lost]
-    return replace(
-        system,
-        notes=(*system.notes, *(str(signal) for signal, users in told if not users)),
-        warnings=(
-            *system.warnings,
-            *(f"{signal}; {' and '.join(users)} could use this signal" for signal, users in told if users),
-        ),
-    )
+    warnings = (f"{signal}; {' and '.join(users)} could use this signal" for signal, users in told if users)
+    system = system.noted(*(str(signal) for signal, users in told if not users))
+    return replace(system, warnings=(*system.warnings, *warnings))
 
 
 def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -> Location:
@@ -96,38 +91,54 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
     )
 
 
-def _swap(system: System, name: str, file: Location) -> tuple[System, tuple[LostSignal, ...]]:
+def _swap(system: System, name: str, file: Location) -> tuple[System, list[LostSignal]]:
+    """The system with another FMU in a component, and the signals to optional inputs that are lost."""
     old = system.components[name]
     try:
         new = open_component(name, file)
     except Problem as problem:
         raise Problem(f"swap {name}: {problem}") from None
-    fit = _fit(system, old, new)
-    start, notes = _start_values(old, new)
-    interface = replace(new.interface, variables={**new.interface.variables, **fit.assumed})
+    used, variables, notes = used_ports(system, old), new.interface.variables, list[str]()
+    unused, dropped = _missing(new, used)
+    back, forth = dict[Port, LinearTransformation](), dict[Port, LinearTransformation]()  # to the new unit
+    needed = {Port(name, n): use for n, use in used.items() if n not in dropped}
+    for port, use in needed.items():
+        unit = variables[port.variable].unit
+        back[port] = conversion(unit, use.unit, f"{port} in {new.source}", notes)
+        forth[port] = conversion(use.unit, unit, port.variable)
+    without_unit = {
+        p.variable: use for p, use in needed.items() if use.unit and not variables[p.variable].unit
+    }
+    assumed = {n: replace(variables[n], unit=use.unit) for n, use in without_unit.items()}
+    interface = replace(new.interface, variables={**variables, **assumed})
+    start, start_notes = _start_values(old, new)
     origins = {n: origin for n, origin in old.origins.items() if n in start}
     replaced = old.replaced or old.interface
     component = replace(new, interface=interface, start=start, replaced=replaced, origins=origins)
-    forth, back = fit.forth, fit.back
+    without = {Port(name, n) for n in dropped}
     connections = (
         replace(c, map=back.get(c.source, IDENTITY).then(c.map).then(forth.get(c.target, IDENTITY)))
         for c in system.connections
-        if not fit.dropped & {c.source, c.target}
+        if not without & {c.source, c.target}
     )
     inlets = (
         replace(i, targets=tuple((p, linear.then(forth.get(p, IDENTITY))) for p, linear in i.targets))
         for i in system.inputs.values()
     )
     outlets = (replace(o, map=back.get(o.source, IDENTITY).then(o.map)) for o in system.outputs.values())
+    told = _notes(old, new, unused, _lost_rates(system, used, dropped), list(without_unit))
     swapped = replace(
         system,
         components={**system.components, name: component},
         connections=tuple(connections),
         inputs={i.name: i for i in inlets},
         outputs={o.name: o for o in outlets},
-        notes=(*system.notes, f"{name} is swapped: {interface.identifier} ({file})", *fit.notes, *notes),
-    )
-    return swapped, fit.lost
+    ).noted(f"{name} is swapped: {interface.identifier} ({file})", *told, *notes, *start_notes)
+    return swapped, [
+        LostSignal(new, n, tuple(port for port, t in used[n].meanings.items() if t == text), text)
+        for n in dropped
+        for text in dict.fromkeys(used[n].meanings.values())
+    ]
 
 
 # ---- which ports the system uses ---------------------------------------------------------------------------
@@ -218,54 +229,16 @@ REPLACEMENTS = {
 }
 
 
-@dataclass(frozen=True)
-class Fit:
-    """How the ports of a new FMU replace those of an old one.
-
-    forth     port -> conversion from the unit of the system to that of the new FMU
-    back      port -> the inverse conversion
-    dropped   ports whose connections are left out
-    lost      signals of dropped connections to optional inputs
-    assumed   ports without a unit in the new FMU, with the expected unit
-    """
-
-    forth: Mapping[Port, LinearTransformation]
-    back: Mapping[Port, LinearTransformation]
-    dropped: frozenset[Port]
-    lost: tuple[LostSignal, ...]
-    assumed: Mapping[str, FmuVariable]
-    notes: tuple[str, ...]
-
-
-def _fit(system: System, old: Component, new: Component) -> Fit:
-    """Compare the new component with the old one; raises Problem with all ports that do not fit."""
-    used, variables = used_ports(system, old), new.interface.variables
-    others = {n: v for n, v in variables.items() if n not in used}
-    missing = {n: use for n, use in used.items() if n not in variables}
+def _missing(new: Component, used: Mapping[str, UsedPort]) -> tuple[list[str], list[str]]:
+    """The ports that a new FMU does not use, and all that it lacks; raises Problem if others do not fit."""
+    others = {n: v for n, v in new.interface.variables.items() if n not in used}
+    missing = {n: use for n, use in used.items() if n not in new.interface.variables}
     unused = [n for n, use in missing.items() if use.ignorable and not _fault(use, new, others)]
     dropped = [n for n, use in missing.items() if use.optional or n in unused]
-    needed = {n: use for n, use in used.items() if n not in dropped}
-    if faults := list(filter(None, (_fault(use, new, others) for use in needed.values()))):
+    needed = (use for n, use in used.items() if n not in dropped)
+    if faults := list(filter(None, (_fault(use, new, others) for use in needed))):
         raise Problem(f"swap {new.name}: {new.source} does not fit: {'; '.join(faults)}")
-    without_unit = [n for n, use in needed.items() if variables[n].unit is None and use.unit]
-    forth, back, notes = dict[Port, LinearTransformation](), dict[Port, LinearTransformation](), list[str]()
-    for n, use in needed.items():
-        port, unit = Port(new.name, n), variables[n].unit
-        back[port] = conversion(unit, use.unit, f"{port} in {new.source}", notes)
-        forth[port] = conversion(use.unit, unit, n)
-    lost = tuple(
-        LostSignal(new, n, tuple(port for port, t in used[n].meanings.items() if t == text), text)
-        for n in dropped
-        for text in dict.fromkeys(used[n].meanings.values())
-    )
-    return Fit(
-        forth,
-        back,
-        dropped=frozenset(Port(new.name, n) for n in dropped),
-        lost=lost,
-        assumed={n: replace(variables[n], unit=needed[n].unit) for n in without_unit},
-        notes=(*_notes(old, new, unused, _lost_rates(system, used, dropped), without_unit), *notes),
-    )
+    return unused, dropped
 
 
 def _fault(use: UsedPort, new: Component, others: Mapping[str, FmuVariable]) -> str:

@@ -69,8 +69,8 @@ class IncomingConnection(NamedTuple):
     """The connection that feeds a connector; suppressed: its unit is not converted."""
 
     source: Port
-    transformation: Transformation
-    suppressed: bool
+    transformation: Transformation = Transformation()
+    suppressed: bool = False
 
 
 class ParameterBinding(NamedTuple):
@@ -107,6 +107,13 @@ class FlatStructure:
     def declared(self, connector: Port) -> ConnectorType:
         """What a file declares of a connector."""
         return self.connectors.get(connector, ConnectorType())
+
+    def connect(self, target: Port, incoming: IncomingConnection, where: str = "") -> None:
+        """Feed a connector, which must have no other source."""
+        if other := self.incoming.get(target):
+            got = f"{other.source} and {incoming.source}"
+            raise Problem(f"{where}{target}: expected one source, got {got}")
+        self.incoming[target] = incoming
 
     def of_kind(self, owner: str, *kinds: str) -> list[Port]:
         """Connectors of one component or system, of some kinds."""
@@ -270,10 +277,9 @@ class _SsdReader:
             raise Problem(f"{context}: expected one source and one sink, got two {start_role}s")
         if start_role == SINK or end_role == SOURCE:
             start, end = end, start
-        if other := self._flat.incoming.get(end):
-            raise Problem(f"{context}: {end}: expected one source, got {other.source} and {start}")
         suppressed = element.boolean("suppressUnitConversion")
-        self._flat.incoming[end] = IncomingConnection(start, read_transformation(element), suppressed)
+        incoming = IncomingConnection(start, read_transformation(element), suppressed)
+        self._flat.connect(end, incoming, f"{context}: ")
 
     def _end(
         self, element: XmlElement, side: str, path: str, owners: Mapping[str, str]

@@ -1,10 +1,10 @@
 """Writes a system as an .ssp file: SSP 1.0, or 2.0 for FMUs of FMI 3.0.
 
-The archive contains the system structure with a diagram, the FMUs, parameter sets, a signal dictionary of all
+The archive contains the system structure, the FMUs, parameter sets, a signal dictionary of all
 outputs, and the other resources of the SSP that the system was loaded from.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from orchestrator.base.xml import generation_tool, rendered_xml
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.annotations import COMMON, SHARED, coupling_attributes
 from orchestrator.ssp.common_elements import NAMESPACES, TYPES, defined_units
-from orchestrator.ssp.diagram import Diagram, Point
 from orchestrator.ssp.system import RESOURCES, Component, Inlet, Port, System
 from orchestrator.ssp.system_structure import DEFINITION, FMU
 
@@ -23,6 +22,8 @@ Values = Mapping[str, tuple[FmuVariable, Value]]  # name of a parameter -> the v
 DESCRIPTION = "modelDescription.xml"
 # files of components: FMUs are written anew, nested systems are flattened
 NOT_COPIED = (".fmu", ".ssp", ".ssd")
+WIDTH, GAP, PITCH = 70.0, 50.0, 5.0  # [mm] of a drawn component, between two, between connectors
+Point = tuple[float, float]
 
 
 def write_ssp(
@@ -30,7 +31,6 @@ def write_ssp(
     path: str | Path,
     sets: Mapping[str, Mapping[str, float]] | None = None,
     bound: Sequence[str] = (),
-    columns: Sequence[Sequence[str]] = (),
     resources: Mapping[str, bytes] | None = None,
     version: str | None = None,
 ) -> Path:
@@ -38,7 +38,6 @@ def write_ssp(
 
     sets         name of a parameter set -> its values by "component.variable"
     bound        names of the sets that are bound to the system, so that they are its default values
-    columns      components of the diagram, column by column from the left
     resources    name under resources/ -> content of a further file; resources of the SSP that the system was
                  loaded from, such as view.toml and parameter sets, are written too
     version      version of SSP, 1.0 or 2.0; default: 2.0 for FMUs of FMI 3.0, else 1.0
@@ -68,7 +67,7 @@ def write_ssp(
             raise Problem(f"{system.name}: set {name}: {problem}") from None
         parameters = {port: (system.variable(of), value) for port, of, value in ports}
         files[f"{name}.ssv"] = parameter_set(name, parameters, version, generation_tool())
-    content = {DEFINITION: _structure(system, version, bound, columns)}
+    content = {DEFINITION: _structure(system, version, bound)}
     write_zip(Path(path), content | {f"{RESOURCES}/{name}": data for name, data in files.items()})
     return Path(path)
 
@@ -100,10 +99,9 @@ def _typed(values: Values) -> Values:
     return {name: (v, float(value) if v.is_real else value) for name, (v, value) in values.items()}
 
 
-def _structure(s: System, version: str, bound: Sequence[str], columns: Sequence[Sequence[str]]) -> bytes:
+def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
     """The content of SystemStructure.ssd."""
     ports = {name: _ports(s, c) for name, c in s.components.items()}
-    diagram = Diagram(ports, [(c.source, c.target) for c in s.connections], columns)
     variables = {name: c.interface.variables for name, c in s.components.items()}
     units = [v.unit for of_component in variables.values() for v in of_component.values()]
     units += [i.unit for i in s.inputs.values()] + [o.unit for o in s.outputs.values()]
@@ -121,13 +119,16 @@ def _structure(s: System, version: str, bound: Sequence[str], columns: Sequence[
         connectors=list(_system_connectors(s)),
         start=_typed(starts),
         bound=bound,
-        boxes=diagram.boxes,
-        ports={name: [variables[name][v] for side in sides for v in side] for name, sides in ports.items()},
+        boxes={name: _box(k, sides) for k, (name, sides) in enumerate(ports.items())},
+        ports={
+            name: [(variables[name][v], at) for x, side in enumerate(sides) for v, at in _beside(side, x)]
+            for name, sides in ports.items()
+        },
         component_start={
             name: _typed({v: (variables[name][v], value) for v, value in c.start.items()})
             for name, c in s.components.items()
         },
-        connections=list(_connections(s, diagram)),
+        connections=list(_connections(s)),
         units=defined_units(units),
         decimal=None if step is None else f"{step:.12f}".rstrip("0"),  # OMSimulator allows no exponent
         coupling=coupling_attributes(s.suggestion),
@@ -145,15 +146,25 @@ def _ports(s: System, component: Component) -> tuple[list[str], list[str]]:
     return inputs, [v.name for port, v in ports if v.causality == "output" or port in read]
 
 
-def _system_connectors(
-    s: System,
-) -> Iterator[tuple[str, str, FmuVariable, DeclaredUnit | None, Point]]:
+def _box(place: int, sides: tuple[list[str], list[str]]) -> tuple[float, float, float, float]:
+    """Corners x1, y1, x2, y2 [mm] of a component in the row of all, with room for its connectors."""
+    left = place * (WIDTH + GAP)
+    return left, 0.0, left + WIDTH, PITCH * (1 + max(map(len, sides)))
+
+
+def _beside(names: Collection[str], x: float) -> Iterator[tuple[str, Point]]:
+    """Connectors from top to bottom, each with its place in a box with the corners (0, 0) and (1, 1)."""
+    return ((name, (x, 1 - n / (len(names) + 1))) for n, name in enumerate(names, 1))
+
+
+def _system_connectors(s: System) -> Iterator[tuple[str, str, FmuVariable, DeclaredUnit | None, Point]]:
     """Connectors of the system: inputs on the left side, outputs on the right side."""
-    for n, i in enumerate(s.inputs.values(), start=1):
-        variable = s.variable(i.targets[0][0] if i.targets else Port("", i.name))
-        yield i.name, "input", variable, i.unit, (0.0, n / (len(s.inputs) + 1))
-    for n, o in enumerate(s.outputs.values(), start=1):
-        yield o.name, "output", s.variable(o.source), o.unit, (1.0, n / (len(s.outputs) + 1))
+    for name, at in _beside(s.inputs, 0.0):
+        targets = s.inputs[name].targets
+        variable = s.variable(targets[0][0] if targets else Port("", name))
+        yield name, "input", variable, s.inputs[name].unit, at
+    for name, at in _beside(s.outputs, 1.0):
+        yield name, "output", s.variable(s.outputs[name].source), s.outputs[name].unit, at
 
 
 def _start(s: System, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
@@ -168,13 +179,11 @@ def _start(s: System, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
     return replace(variable, unit=inlet.unit), value
 
 
-def _connections(
-    s: System, diagram: Diagram
-) -> Iterator[tuple[Port, Port, LinearTransformation, str, bool, list[str]]]:
+def _connections(s: System) -> Iterator[tuple[Port, Port, LinearTransformation, str, bool]]:
     """Connections between components, then those of inputs and outputs of the system.
 
-    Each with its map, the type of values in its table, whether the reader must suppress its own unit
-    conversion, which the map contains, and the coordinates of its bends.
+    Each with its map, the type of values in its table, and whether the reader must suppress its own unit
+    conversion, which the map contains.
     """
     system_units = {i.name: i.unit for i in s.inputs.values()}
     system_units |= {o.name: o.unit for o in s.outputs.values()}
@@ -184,9 +193,7 @@ def _connections(
     for source, target, linear in ends:
         units = [s.variable(p).unit if p.component else system_units[p.variable] for p in (source, target)]
         converted = linear != IDENTITY or (units[0] != units[1] and None not in units)
-        bends = diagram.bends.get((source, target), ())
-        points = [" ".join(f"{p[axis]:.6g}" for p in bends) for axis in (0, 1)]
         if linear.table and (linear.factor, linear.offset) != (1.0, 0.0):
             raise Problem(f"{source} -> {target}: expected a line or a mapping of values to write, got both")
         kind = "Boolean" if s.variable(source).kind == "Boolean" else "Integer"
-        yield source, target, linear, kind, converted, points
+        yield source, target, linear, kind, converted

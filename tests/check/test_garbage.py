@@ -8,8 +8,7 @@ import pytest
 from kit.mistakes import table
 
 from check.good import DESCRIPTION, Archive, Good
-from orchestrator.check import checking
-from orchestrator.check.checking import DEFECT, _without_repeats, check
+from orchestrator.check.checking import DEFECT, check
 
 LFS_POINTER = "version https://git-lfs.github.com/spec/v1\n"
 
@@ -91,15 +90,3 @@ def test_suffix_and_size_are_noted(good: Good, tmp_path: Path, monkeypatch: pyte
     assert rules(good[2].write(tmp_path / "lag.zip")) == {"archive.suffix"}
     monkeypatch.setattr("orchestrator.check.rules.archive.MAX_SIZE", 1000)
     assert rules(good[2].write(tmp_path / "lag.fmu")) == {"contents.size"}
-
-
-def test_fmpy_speaks_where_no_rule_does(good: Good, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fault that no rule covers is reported by FMPy's validation."""
-    lacking = good[2].swap('<Unknown index="5" dependencies="2 3 4"/>', "")
-    path = lacking.write(tmp_path / "lag.fmu")
-    assert rules(path) == {"structure.initial"}
-    monkeypatch.setattr(checking, "_without_repeats", lambda found, _: _without_repeats(found, ()))
-    assert rules(path) == {"structure.initial", "fmpy.validate"}
-    for tool, severity in (("any", "warning"), ("fmpy", "error")):
-        findings = check(path, tool, run=False).findings
-        assert [f.severity for f in findings if f.rule == "fmpy.validate"] == [severity]

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd, read_ssv, validate_tree
-from kit.any_fmu.edit import edited
 from kit.mistakes import problem, table
 from lxml import etree
 
@@ -101,22 +100,6 @@ def test_fmpy_simulates_the_system(system):
 def test_impossible_system_is_refused_by_name(fmus, wires, inputs, start, expected):
     """A connection to a missing port, in the wrong direction or to a fed input is refused by name."""
     assert expected in problem(lambda: assemble(fmus, wires, start, "x", inputs))
-
-
-def test_unit_mismatch_is_refused(toy_dir):
-    """Metres per second do not fit metres."""
-    fmus = {"path": toy_dir / "path.fmu", "chamber": toy_dir / "chamber.fmu"}
-    told = problem(lambda: assemble(fmus, [("path.where", "chamber.supply")]))
-    assert "path.where [m] -> chamber.supply [Pa]: the units cannot" in told
-
-
-def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
-    """Degrees Celsius in an FMU are degrees Celsius in the system, not Kelvin."""
-    change = ("<BaseUnit/>", '<BaseUnit K="1" offset="273.15"/>')
-    warm = edited(toy_dir / "gain.fmu", tmp_path / "warm.fmu", change)
-    system = write_ssp(assemble({"warm": warm}), tmp_path / "x.ssp")
-    root = structure(system)
-    assert root.find(".//{*}Unit/{*}BaseUnit").attrib == {"K": "1", "offset": "273.15"}
 
 
 @table(__file__, "sets", "options, words")

@@ -517,8 +517,7 @@ def test_200_000_variables_are_checked(tmp_path: Path) -> None:
     """In bounded time and memory, by rules that are linear in the number of variables: 6 s, else hours."""
     path = fmu(tmp_path / "x.fmu", ("</ModelVariables>", f"{variables(200_000)}</ModelVariables>"))
     start, before = time.process_time(), peak()
-    report = check(path)
-    assert "fmpy.validate" in {f.rule for f in report.findings}  # left out
+    check(path)
     assert time.process_time() - start < 20 * LONGEST
     assert peak() - before < MOST
 

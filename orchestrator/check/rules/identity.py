@@ -1,4 +1,4 @@
-"""Rules on modelDescription.xml: schema, FMI version, validation by FMPy, identifiers, default experiment."""
+"""Rules on modelDescription.xml: schema, FMI version, identifiers, default experiment."""
 
 import math
 import re
@@ -6,20 +6,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from orchestrator.base.extras import MissingExtra, require
 from orchestrator.base.text import MODELICA
 from orchestrator.base.xml import local_name
-from orchestrator.check.finding import Finding, error, note, warning
+from orchestrator.check.finding import Finding, error, warning
 from orchestrator.check.rules.variables import CPP, C
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.description import parse_float
 
 FOLDER = Path(__file__).parents[1] / "schemas"  # of the FMI standard, as they are published
 SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
-FMPY = "fmpy.validate"
-MAX_NAMES = 2000  # variables above which FMPy does not check names, which takes milliseconds for each
-MAX_ELEMENTS = 100_000  # above which FMPy is not asked: it takes 10 s for 200 000 variables, and 1 GB
-FMPY_FAILS = "cannot read the FMU"
 
 
 def xml_syntax(subject: Subject) -> Iterator[Finding]:
@@ -71,31 +66,6 @@ def violations(root: Any, name: str) -> Iterator[tuple[int, str]]:
     xsd.validate(root)
     for entry in xsd.error_log:
         yield entry.line, re.sub(r"\{[^}]*\}", "", entry.message)
-
-
-def fmpy_validate(subject: Subject) -> Iterator[Finding]:
-    """FMPy's validation finds no other faults."""
-    if subject.root.xpath("count(//*)") > MAX_ELEMENTS:
-        text = f"{MAX_ELEMENTS} elements, for which FMPy's validation takes too long: it was left out"
-        yield note(f"{DESCRIPTION} has more than {text}", "fmpy")
-        return
-    try:
-        require("check", "validation by FMPy", "fmpy")
-    except MissingExtra as missing:
-        yield note(str(missing))
-        return
-    from fmpy import read_model_description
-    from fmpy.model_description import ValidationError
-
-    names = len(subject.model.variables) <= MAX_NAMES
-    options = {"validate": True, "validate_variable_names": names, "validate_model_structure": True}
-    try:
-        read_model_description(str(subject.folder), **options)
-    except ValidationError as invalid:
-        for problem in dict.fromkeys(invalid.problems):
-            yield warning(f"FMPy: {' '.join(str(problem).split())}", "fmpy")
-    except Exception as problem:  # FMPy raises many types, some of them because of its own faults
-        yield warning(f"FMPy {FMPY_FAILS}: {type(problem).__name__}: {problem}", "fmpy")
 
 
 def kind_some(subject: Subject) -> Iterator[Finding]:

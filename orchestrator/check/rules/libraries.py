@@ -367,36 +367,32 @@ def python_packages(subject: Subject) -> Iterator[str]:
         return
     scripts = _scripts(subject)
     shipped = {s.removeprefix(SCRIPTS).partition("/")[0].removesuffix(".py") for s in scripts}
-    shipped.update(FMU_PACKAGES)
     packages_: dict[str, str] = {}
     for script in scripts:
-        for name in sorted(_imports((subject.folder / script).read_text("utf-8", "replace"))):
-            if name not in sys.stdlib_module_names and name not in shipped:
+        tree, _ = _parsed(subject, script)
+        nodes = [*ast.walk(tree)] if tree else []
+        names = {a.name for n in nodes if isinstance(n, ast.Import) for a in n.names}
+        names |= {n.module for n in nodes if isinstance(n, ast.ImportFrom) and n.module and not n.level}
+        for name in sorted({name.partition(".")[0] for name in names}):
+            if name not in {*sys.stdlib_module_names, *shipped, *FMU_PACKAGES}:
                 packages_.setdefault(name, script)
     for name, script in packages_.items():
         yield f"{script}: imports {name}, which must be installed on the target machine"
 
 
-def _imports(text: str) -> set[str]:
-    """The top-level packages that a script imports; none if it cannot be parsed."""
+def _parsed(subject: Subject, script: str) -> tuple[ast.Module | None, Finding | None]:
+    """A script as a tree, or why it cannot be parsed."""
     try:
-        nodes = list(ast.walk(ast.parse(text)))
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return set()
-    plain = {a.name for n in nodes if isinstance(n, ast.Import) for a in n.names}
-    from_imports = {n.module for n in nodes if isinstance(n, ast.ImportFrom) and n.module and not n.level}
-    return {name.partition(".")[0] for name in plain | from_imports}
+        return ast.parse((subject.folder / script).read_text("utf-8", "replace")), None
+    except (SyntaxError, ValueError) as problem:
+        return None, warning(f"{script}: Python cannot parse it: {problem}")
+    except (RecursionError, MemoryError):
+        return None, note(f"{script}: is nested too deeply to be parsed")
 
 
 def python_syntax(subject: Subject) -> Iterator[Finding]:
     """Scripts can be parsed by Python."""
-    for script in _scripts(subject):
-        try:
-            ast.parse((subject.folder / script).read_text("utf-8", "replace"))
-        except (SyntaxError, ValueError) as problem:
-            yield warning(f"{script}: Python cannot parse it: {problem}")
-        except (RecursionError, MemoryError):
-            yield note(f"{script}: is nested too deeply to be parsed")
+    yield from filter(None, (_parsed(subject, script)[1] for script in _scripts(subject)))
 
 
 def runtime_java(subject: Subject) -> Iterator[str]:
