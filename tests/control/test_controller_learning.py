@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from kit.steering import PART, V, measured, rates
+from kit.steering import PART, measured, rates
 
 from benchmarks.learning import AXES, Case, dead_band, tracked
 from orchestrator import Trace, run
@@ -93,20 +93,3 @@ def test_a_jump_of_the_dead_band_is_learned_within_half_a_minute(machine, monkey
     _, trace, begin = worked(machine, monkeypatch, start, before=30.0)
     at_begin = np.searchsorted(trace.time, begin)
     np.testing.assert_allclose([trace[n][at_begin] for n in BANDS], 0.0, atol=0.05)
-
-
-def test_off_the_commands_are_those_of_known_valves():
-    """`learning` 0: rates of commands do not depend on what only learning has, and nothing is learned."""
-    rng = np.random.default_rng(3)
-    u = measured(0.2, -1.4, vertical_velocity=0.3, swing_velocity=0.1, radial_velocity=0.1)
-    own = [n for n in PART.states if n.endswith(("late_command", "oil_shift")) or "covariance" in n]
-    x = dict(zip(PART.states, PART.start(u), strict=True))
-    x |= {"vertical_lever": 0.3, "turning_lever": 0.1, "radial_lever": 0.1, "coordination": 1.0}
-    first = rates(np.array(list(x.values())), u, learning=0.0)
-    other = rates(np.array(list((x | {n: rng.normal() for n in own}).values())), u, learning=0.0)
-    for name, a, b in zip(PART.states, first, other, strict=True):
-        if name not in own:
-            assert a == b, name
-        if name in LEARNED:
-            assert a == 0, name
-    assert V.p["learning"] == 0

@@ -137,13 +137,3 @@ def test_pressures_at_load_carry_the_load_with_the_same_oil(head, rod, load):
         return h * a.head_capacitance / a.head_area + r * a.rod_capacitance / a.rod_area
 
     assert level(*new) == pytest.approx(level(head, rod), rel=1e-12, abs=0)
-
-
-def test_numbers_out_of_reach_stay_finite():
-    """Pressures beyond the supply, no supply, an unreachable speed: a finite command within the range."""
-    a = drives()["boom"]
-    for head, rod, supply, speed in ((30e6, 0.0, 20e6, 5.0), (0.0, 30e6, 0.0, -5.0), (-1e5, -1e5, -1e5, 1.0)):
-        full = valve.full_speeds(a, head, rod, supply, 0.0)
-        opening = valve.limited(valve.opening_for(a, speed, full))
-        command = number(valve.command(a.valve, opening, FOOT))
-        assert 0 < abs(command) <= a.valve.full_command * (1 + 1e-6)

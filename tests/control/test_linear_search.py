@@ -67,35 +67,6 @@ def test_a_rate_that_noise_keeps_is_steady_up_to_1e_11_of_its_terms(level, stead
     assert equations(Plant(lambda x, u: [level * 0.5e-11], [[-0.25]], x=[1])).solve() == steady
 
 
-@pytest.mark.parametrize(("start", "solved"), [(0.99, True), (1.01, False)])
-def test_newtons_method_has_forty_iterations(start, solved):
-    """On -x^3 each removes a third; its terms are 6 x^2 with nominal 1, so x = 6e-11 is steady."""
-    x = start * 6e-11 * 1.5**39  # the last iteration tests what 39 steps have left
-    plant = Plant(lambda x, u: -(x**3), lambda x, u: [-3 * x**2], x=[x])
-    assert equations(plant).solve() == solved
-    assert solved or plant.x == x  # left as it was found
-
-
-@pytest.mark.parametrize(("refused", "solved"), [(7, True), (8, False)])
-def test_a_step_is_halved_seven_times(refused, solved):
-    """A plant that cannot be evaluated at first: the attempts are 1, 1/2 ... 1/128 of the way."""
-    plant = Plant(lambda x, u: -x, [[-1]], x=[1], refused=refused)
-    assert equations(plant).solve() == solved
-    np.testing.assert_allclose([x[0] for x, _ in plant.seen[:8]], 1 - 0.5 ** np.arange(8), atol=1e-15)
-    assert plant.x[0] == pytest.approx(0.0 if solved else 1.0, abs=1e-15)  # rounding, as above
-
-
-@pytest.mark.parametrize(("ratio", "attempt"), [(0.75, 1), (0.76, 2), (0.875, 2), (0.88, 3)])
-def test_a_step_has_to_shorten_the_next_one(ratio, attempt):
-    """By a quarter for the whole step, an eighth for half of it: powers of 2, so the limits are exact."""
-    one = Plant(lambda x, u: [2.0 if x[0] == 1 else 2 * ratio], [[-1]], x=[1])
-    r = 2 * 0.999 * ratio  # matrices 2 x 2: rounding
-    two = Plant(lambda x, u: [2, 0] if x[0] == 1 else [r, r], [[-1, -1], [0, -1]], x=[1, 1])  # (2, 0), (0, r)
-    for plant in (one, two):
-        assert not equations(plant).solve()  # beyond the first step rates stay: eight attempts, then back
-        assert len(plant.seen) == attempt + 8 + 1
-
-
 @pytest.mark.parametrize(("x", "end"), [(0.8e-14, 0.8e-14), (1e-14, 1e-14), (1.2e-14, 0.0)])
 def test_a_step_up_to_1e_14_of_nominal_is_not_taken(x, end):
     """After convergence one more step is taken, if it is longer."""
@@ -119,26 +90,6 @@ def test_rows_and_columns_are_scaled_by_what_is_added():
 
 
 # ---- the transient
-
-
-@pytest.mark.parametrize(
-    ("ratio", "factor"), [(0.04, 5.0), (0.06, 1.5), (0.24, 1.5), (0.26, 0.8), (0.49, 0.8), (0.51, 0.25)]
-)
-def test_steps_grow_on_straight_paths_and_are_repeated_on_bent_ones(ratio, factor):
-    """The rate changes by `ratio` in the first step, of 0.1 ms; above 0.5 the step is repeated."""
-    plant = Plant(lambda x, u: [3.0 if x[0] == 1 else 3 * (1 + ratio)], [[0]], x=[1], nominal=[4])
-    assert not Search(plant, (), ()).run({})
-    start, first, *then = (x[0] for x, _ in plant.seen[:4])
-    assert (then[0] == start) == (ratio > 0.5)
-    second = then[1] - start if ratio > 0.5 else (then[0] - first) / (1 + ratio)
-    np.testing.assert_allclose([first - start, second], [3e-4, 3e-4 * factor], rtol=1e-9)  # of 1 + 3e-4
-
-
-def test_a_search_ends_after_3000_steps():
-    """A plant that cannot be evaluated: its matrices are asked for at first and after each step taken."""
-    plant = Plant(lambda x, u: [1], [[0]], x=[1], refused=10**6)
-    assert not Search(plant, (), ()).run({})
-    assert plant.asked == 1 + 3000 - 9  # nine shorten the step to 1e-9 s; below, it is taken as it is
 
 
 def test_joints_reach_their_speeds_in_half_a_second():

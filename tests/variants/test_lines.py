@@ -192,21 +192,6 @@ def test_the_adviser_holds_at_real_ends():
     assert np.abs(errors).max() < 0.05
 
 
-@pytest.mark.parametrize("lumps", [1, 3])
-def test_oil_that_flows_out_leaves_as_much_room(lumps):
-    """In minus out is the growth of what is compressed in the line, less the growth of its cavities."""
-    one = pipe()
-    x, circuit = in_between(one, lumps, 0.0)
-    inner = [x[f"inner_pressure_{k}"] for k in range(1, lumps + 1)]
-    content = one.volume * sum(inner) / lumps / BETA - circuit.void_volume
-    symbols, rates = ca.vertcat(*x.values()), ca.vertcat(*(circuit.rates[name] for name in x))
-    growth = ca.Function("growth", [symbols], [ca.jtimes(content, symbols, rates)])
-    flows = [1e-3, *[4e-4, -2e-4][: lumps - 1], -5e-4]
-    cavitating = [-45e3, -30e3, 1e5][:lumps]
-    # rounding of flows and of exp(5)
-    assert float(growth([*flows, *cavitating])) == pytest.approx(1.5e-3, rel=1e-12)
-
-
 def test_a_line_of_one_pressure_has_the_cavity_of_one_volume():
     """At the vapour pressure C_ref dP, 5e-9 m3, e^3 times as much 15 kPa below, however many lumps."""
     for n in (1, 2, 5):

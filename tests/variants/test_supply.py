@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import cavity
 from kit.mistakes import table
 from kit.properties import examples
 from kit.supply_bench import L_MIN, Bench, Load
@@ -17,7 +16,7 @@ from scipy.optimize import brentq
 from fmus.components import engine_and_pump
 from fmus.contract import nested
 
-ENGINE_PUMP, LOAD_SENSING = BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
+ENGINE_PUMP, _ = BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
 IDEAL = Bench("ideal")
 pumps = pytest.mark.parametrize("bench", BENCHES, ids=lambda b: b.sub.variant)
 P = ENGINE_PUMP.p
@@ -198,21 +197,6 @@ def test_steps_take_the_stroke_times_and_the_lag_of_the_data_sheet():
     assert after - begin == pytest.approx(0.01 * (1 - np.exp(-1)), rel=0.02)
 
 
-def test_functions_that_overlap_make_the_pressure_sag_and_it_recovers():
-    """One function, two, all three beyond the pumps, none again: ever lower, then at the setting again."""
-    steps, p = [orifice(q * L_MIN) for q in (80, 200, 500, 0)], ENGINE_PUMP.constants()
-    time, y = ENGINE_PUMP.through(steps, p, 3.0)
-    one, two, three, none = (y["supply_pressure"][time <= 3.0 * (k + 1) + 1e-9][-1] for k in range(4))
-    start, speed = (ENGINE_PUMP.rest(p)[ENGINE_PUMP.at(n)] for n in ("supply_pressure", "engine_speed"))
-    assert start > one > two > three
-    assert start - two < P["compensator_band"]
-    assert three < start - 2 * P["compensator_band"]
-    # behind the check valves the rail keeps what the pumps gave before they were off stroke
-    assert start <= none < P["relief_pressure"] + P["relief_rounding"]
-    assert y["engine_speed"][-1] == pytest.approx(speed, rel=1e-3)
-    assert y["relief_flow"].max() < 2 * FULL
-
-
 @examples(25)
 @given(st.lists(st.integers(0, 900), min_size=3, max_size=6), st.floats(0.1, 0.6))
 def test_limits_hold_for_any_row_of_loads(flows, hold):
@@ -292,22 +276,6 @@ def test_pumps_draw_no_more_oil_than_there_is(bench, pressures, strokes, shaft, 
     for share, s in ((5.0, 1.0), (0.75, 0.5), (0.6, 0.05792), (0.3, 0.0), (-1.0, 0.0)):
         # s = z^3 (10 - 15 z + 6 z^2) by hand, exact; rounding of a difference of flows
         assert gained(suction / 2) - gained(share * suction) == pytest.approx(s * drawn, rel=1e-9, abs=1e-15)
-
-
-@pumps
-@given(*STATE, FLOWS)
-def test_oil_is_conserved(bench, pressures, strokes, shaft, flows):
-    """What comes back less what is taken fills tank and lines."""
-    x, p = bench.state(pressures, strokes, **shaft), bench.p
-    rate = bench.rates(x, inputs_of(bench, flows), bench.constants())
-    own = p.get("pump_line_capacitance", p.get("main_pump_line_capacitance"))
-    gained = rate["reservoir_volume"]
-    for name in ("supply", "tank", *PUMPS[bench.sub.variant]):
-        c = {"supply": p["rail_capacitance"], "tank": p["return_capacitance"]}.get(name, own)
-        gained += (c + cavity(x[bench.at(f"{name}_pressure")])) * rate[f"{name}_pressure"]
-    taken_1, back_1, taken_2, back_2 = flows
-    # rounding of 0.1 m3/s
-    assert gained == pytest.approx(back_1 + back_2 - taken_1 - taken_2, abs=1e-14)
 
 
 @given(
