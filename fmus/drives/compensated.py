@@ -34,10 +34,10 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from fmus.components import chamber, circuit, counterbalance_valve, hose, motor, spool_valve
+from fmus.components import chamber, counterbalance_valve, hose, motor, spool_valve
 from fmus.components import pressure_compensator as compensator
 from fmus.components.chamber import AeratedOil, Air
-from fmus.components.circuit import Branch, Circuit, Kind, Node
+from fmus.components.circuit import Branch, Circuit, Kind
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.hose import HoseWall, in_series
 from fmus.components.load_sensing import sensed
@@ -246,13 +246,8 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     ports = compensator.section_ports(section, u.command, both(x, LINES), u)
     edges = (ports[0].edges, ports[1].edges)
     volume = hose.area(line.bore) * line.length + own.motor_volume
-    oil = (own.capacitance(p, u.oil_temperature), volume, Air.of(p))
-    whole = Circuit(
-        {
-            **circuit.lines(u),
-            "pressure_a": Node(x.pressure_a, "C_1", *oil),
-            "pressure_b": Node(x.pressure_b, "C_2", *oil),
-        },
+    whole = motors.ends(x, u, own.capacitance(p, u.oil_temperature), volume, Air.of(p)) | Circuit(
+        {},
         {
             **_edges(section, ports, LINES, u.supply_pressure),
             **motor.branches(LINES, own.displacement * u.speed, *own.leakage),

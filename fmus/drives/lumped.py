@@ -14,7 +14,7 @@ The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is requi
 from collections.abc import Callable
 from typing import Any
 
-from fmus.components import circuit, motor, spool_valve
+from fmus.components import motor, spool_valve
 from fmus.components.chamber import Oil
 from fmus.components.circuit import Circuit, Node
 from fmus.components.hose import ShortLine, column, inertance, laminar_resistance
@@ -79,15 +79,10 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     line, ports = own.line, MOTOR.names("motor_pressure")
     turbulent = ShortLine(0, line.turbulent_resistance)
     supplied = _supplied(MOTOR, x, u, own, p, line.inertance, turbulent.drop, ("I_1", "I_2"))
-    capacitance = own.capacitance(p, u.oil_temperature)
-    nodes = {
-        **circuit.lines(u),
-        "pressure_a": Node(x.pressure_a, "C_1", capacitance),
-        "pressure_b": Node(x.pressure_b, "C_2", capacitance),
-    }
-    whole = Circuit(nodes, {}) | supplied
+    around = motors.ends(x, u, own.capacitance(p, u.oil_temperature))
+    whole = around | supplied
     whole |= motor.behind_lines(
-        nodes, motors.LINES, ports, line.resistance, own.displacement * u.speed, *own.leakage
+        around.nodes, motors.LINES, ports, line.resistance, own.displacement * u.speed, *own.leakage
     )
 
     def effort(whole: Circuit) -> dict[str, Scalar]:

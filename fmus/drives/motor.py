@@ -12,9 +12,9 @@ from functools import partial
 from typing import Any
 
 from fmus import ports
-from fmus.components import chamber, hose
+from fmus.components import chamber, circuit, hose
 from fmus.components.chamber import Oil
-from fmus.components.circuit import TANK, Branch, Circuit, Kind
+from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
 from fmus.components.cylinder import holding_pressures
 from fmus.components.hose import HoseSize, ShortLine
 from fmus.components.oil import DENSITY, LAMINAR, TURBULENT
@@ -202,6 +202,14 @@ MOTOR = Actuator(
     power=("torque", "speed"),
 )
 LINES = MOTOR.names("pressure")
+
+
+def ends(x: Any, u: Any, capacitance: Scalar, *oil: Any) -> Circuit:
+    """The lines, and both sides of the motor; oil: their volume [m3] and what is in it, as of `Node`."""
+    nodes = {
+        n: Node(getattr(x, n), of, capacitance, *oil) for n, of in zip(LINES, ("C_1", "C_2"), strict=True)
+    }
+    return Circuit({**circuit.lines(u), **nodes}, {})
 
 
 def reliefs(own: Any, p: Any) -> dict[str, Branch]:

@@ -160,16 +160,3 @@ def test_a_mass_at_the_tip_is_told_by_the_loads_and_moved_by_its_force(angles, m
         v = ARM.tip_velocity(q, one, P)
         square = float(v.radius**2 + v.height**2 + (radius * v.angle) ** 2)
         assert float(inertia) * float(pistons[k][1]) ** 2 == pytest.approx(mass * square, rel=3e-3)
-
-
-def test_a_turning_column_pulls_the_load_outwards():
-    """At a steady 0.5 rad/s: M r w^2 towards the axis, no torque; moved outwards, a torque 2 M r r' w."""
-    q, mass, w = (0.0, 0.3, -1.2), 500.0, 0.5
-    loads, pistons = load(q, mass)
-    (radius, _), columns = tip(*q[1:]), ARM.columns(q, P)
-    still, moving = (ARM.carried(q, pistons, (w, boom, 0.0), (0.0,) * 3, loads, P) for boom in (0.0, 0.1))
-    arms = [r / lever for (r, _), (_, lever) in zip(columns, pistons[1:], strict=True)]
-    inwards = [float(-mass * radius * w**2 * arm) for arm in arms]
-    assert [float(f) for _, f in still] == pytest.approx([0.0, *inwards], rel=3e-3)
-    outwards = 0.1 * float(columns[0][0])
-    assert float(moving[0][1]) == pytest.approx(float(2 * mass * radius * outwards * w), rel=3e-3)

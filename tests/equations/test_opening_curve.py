@@ -14,7 +14,6 @@ from kit.fmu import driving
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from fmus.components import opening_curve, spool_valve
-from fmus.export.build import build
 from fmus.export.c_code import native_sources
 from fmus.export.c_functions import Routine, c_function
 from fmus.parameters import values
@@ -152,10 +151,10 @@ def test_points_in_disorder_are_refused(points, wrong):
     assert all(text.startswith(f"valve_pa_{wrong}") for text in violated)
 
 
-def test_an_fmu_takes_a_table(tmp_path, capsys):
+def test_an_fmu_takes_a_table(fmu_dir, capsys):
     """The edge P-A of the built FMU with a table passes the flow of its opening; a wrong table is refused."""
     points = numbers_of("pa")
-    fmu, pressures, speed = build(SWING, tmp_path), [], 0.8
+    fmu, pressures, speed = fmu_dir / "swing.fmu", [], 0.8
     for start in ({}, points):
         with driving(fmu, swing_command=5.0, swing_speed=speed, **start) as driven:
             driven.step(1e-3, 500)

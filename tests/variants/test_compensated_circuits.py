@@ -102,19 +102,3 @@ def test_the_brake_holds_and_does_not_creep(fmus):
     assert held == pytest.approx(torque, rel=5e-3)
     assert shown[-1] == pytest.approx(torque / S["brake_stiffness"], rel=5e-3)
     assert abs(shown[-1] - shown[0]) < 1e-9  # rad in 10 s; what the oil still leaks is gone after seconds
-
-
-def test_the_brake_waits_for_command_and_pressure(fmus):
-    """Applied in neutral; released by a command within five time constants, but not without pressure."""
-
-    def applied(command, supply, time):
-        with driving(fmus["swing"], swing_command=0.0, supply_pressure=supply) as fmu:
-            assert fmu["swing_brake_applied"] == 1.0
-            fmu.set(swing_command=command)
-            fmu.step(STEP, round(time / STEP))
-            return fmu["swing_brake_applied"]
-
-    assert applied(0.3, 2e6, 1.0) == 1.0
-    # exp(-5); the FMU's solver has a tolerance of 1e-6
-    assert applied(1.0, 2e6, 5 * S["brake_release_time"]) == pytest.approx(math.exp(-5), rel=1e-3)
-    assert applied(10.0, 0.5e6, 1.0) == 1.0

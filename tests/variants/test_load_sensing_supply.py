@@ -151,7 +151,7 @@ def test_from_standby_to_full_flow_takes_the_stroke_time():
     assert found < P["main_pump_stroke_time"] + P["load_sensing_lag"] + 4 * P["main_pump_lag"]
 
 
-@examples(25)
+@examples(10)
 @given(ROWS, st.floats(0.1, 0.6))
 def test_limits_hold_for_any_row_of_loads(rows, hold):
     """The load-sensing line stays below its relief valve, no stall, no run-away."""

@@ -230,46 +230,6 @@ def test_steady_slip_follows_the_stribeck_curve(v):
     assert r.heat == pytest.approx(r.force * v, rel=1e-5)  # all of the power
 
 
-def pulled(top, seconds=2.0, mass=500.0):
-    """Displacement [m] and forces [N] over time of a mass that a growing force up to `top` pulls."""
-
-    def rates(t, x):
-        r = lugre(x[1], x[2], DRY_PISTON, 0.0)
-        return [x[1], (top * min(t / seconds, 1.0) - r.force) / mass, r.deflection_rate]
-
-    options = {"max_step": 0.01, "rtol": 1e-7, "atol": 1e-10}
-    run = solve_ivp(rates, (0, 1.5 * seconds), [0.0, 0.0, 0.0], "Radau", **options)
-    return run.y[0], top * np.minimum(run.t / seconds, 1.0)
-
-
-def test_mass_breaks_away_at_the_static_friction():
-    """Below r Fc it moves by the deflection of the bristles, above it slides away."""
-    static = DRY_PISTON.static_ratio * DRY_PISTON.coulomb
-    place, _ = pulled(0.95 * static)
-    assert place.max() < 10 * DRY_PISTON.deflection
-    place, force = pulled(1.2 * static)
-    away = force[np.argmax(place > 20 * DRY_PISTON.deflection)]
-    assert away == pytest.approx(static, rel=0.03)  # plus what the ramp adds while it gathers speed
-    assert place[-1] > 0.1
-
-
-def test_small_motions_are_elastic_and_lose_energy_in_a_loop():
-    """Below break-away the stiffness is s0 = Fc / d, the mean force is zero, and a loop makes heat."""
-    amplitude, w = 0.3 * DRY_PISTON.deflection, 1.0
-    run = solve_ivp(
-        lambda t, z: [lugre(amplitude * w * math.cos(w * t), z[0], DRY_PISTON, 0.0).deflection_rate],
-        (0, 6 * math.pi), [0.0], "Radau", rtol=1e-9, atol=1e-14, dense_output=True,
-    )  # fmt: skip
-    t = np.linspace(4 * math.pi, 6 * math.pi, 2001)
-    v = amplitude * w * np.cos(w * t)
-    force = np.array([lugre(a, b, DRY_PISTON, 0.0).force for a, b in zip(v, run.sol(t)[0], strict=True)])
-    lost = np.trapezoid(force * v, t)
-    stiffness = np.ptp(force) / (2 * amplitude)
-    # softened by slip, of the order of amplitude / (2 r d), and the bristles' damping T w = 1 %
-    assert stiffness == pytest.approx(DRY_PISTON.coulomb / DRY_PISTON.deflection, rel=0.15)
-    assert 0 < lost < math.pi / 4 * np.ptp(force) * 2 * amplitude * 0.3  # a slim loop
-
-
 @given(dry=laws, v=speeds, z=deflections, b=st.floats(0.0, 1e5))
 def test_power_into_friction_is_stored_or_heat_for_any_numbers(dry, v, z, b):
     """F v = d(stored)/dt + heat, both >= 0, at any state: no program of speeds gets work out of bristles."""

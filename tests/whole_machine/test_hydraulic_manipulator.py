@@ -43,17 +43,6 @@ def test_hydraulic_power_balance():
         assert float(received) == pytest.approx(float(used), rel=1e-12)  # exact identity: rounding only
 
 
-@pytest.mark.parametrize("pressure", [0.1e6, 3e6, 7.6e6, 50e6])
-def test_bulk_modulus_belongs_to_the_density(pressure):
-    """beta = rho dp/drho of the density 1 + a p + b p^2, by central differences."""
-    p = parameters()
-    step = 1e4
-    above, below = (model.relative_density(pressure + d, p) for d in (step, -step))
-    expected = model.relative_density(pressure, p) * 2 * step / (above - below)
-    # the central difference of a parabola is exact, its rounding is 1e-16 / (slope step) = 2e-11
-    assert model.bulk_modulus(pressure, p) == pytest.approx(expected, rel=1e-10)
-
-
 def test_published_equilibrium():
     """Holding force, pressures and valve position at the start are the published numbers."""
     p, arm = parameters(), Part(ARM)(list(values(ARM).x.values()))[1]
