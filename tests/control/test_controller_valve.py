@@ -112,16 +112,3 @@ def test_a_compensated_section_gets_the_command_for_its_flow(name, share):
         flow = number(ports[fed].edges.supply) - a.valve.leakage * (SUPPLY - load)
         # rounding of the curve where the valve opens
         assert flow == pytest.approx(abs(speed) * area, rel=1e-2 if abs(share) < 0.1 else 1e-3)
-
-
-@given(st.floats(1e5, 2e7), st.floats(1e5, 2e7), st.floats(-1e5, 1e5))
-def test_pressures_at_load_carry_the_load_with_the_same_oil(head, rod, load):
-    """Their force is the load, and the oil in both chambers, seen through a free piston, is the same."""
-    a = drives()["boom"]
-    new = [number(p) for p in valve.pressures_at_load(a, head, rod, load)]
-    assert a.head_area * new[0] - a.rod_area * new[1] == pytest.approx(load, abs=1e-3)  # N of 1e5: rounding
-
-    def level(h: float, r: float) -> float:
-        return h * a.head_capacitance / a.head_area + r * a.rod_capacitance / a.rod_area
-
-    assert level(*new) == pytest.approx(level(head, rod), rel=1e-12, abs=0)

@@ -44,16 +44,6 @@ def test_ramp_has_continuous_first_and_second_derivative() -> None:
             assert d2 == pytest.approx(0.0, abs=1e-6)
 
 
-@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e3))
-def test_positive_parts_differ_by_the_argument(z: float, width: float) -> None:
-    """positive(z) - positive(-z) = z and both are positive: the identity behind the holding pressures."""
-    up, down = number(smooth.positive(z, width)), number(smooth.positive(-z, width))
-    assert up >= 0
-    assert down >= 0
-    # exact identity; rounding of the square root of z^2
-    assert up - down == pytest.approx(z, rel=1e-12, abs=1e-9)
-
-
 @given(st.floats(0.5, 1.2) | st.floats(-12.0, 12.0), st.floats(-1e-6, 1e-6) | flows, st.floats(-1.0, 1.0))
 def test_a_port_s_pressure_falls_with_the_flow_out_of_it(command: float, flow: float, more: float) -> None:
     """At any opening, also where the leakage of the closed edge exceeds the flow: a line then settles.

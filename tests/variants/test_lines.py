@@ -108,15 +108,6 @@ def test_the_adviser_keeps_its_promise(length, bandwidth, error, wall):
         assert (first + len(found)) * step > bandwidth  # no mode of the line is missing
 
 
-@given(**ASKED)
-def test_the_adviser_asks_for_no_lump_too_many(length, bandwidth, error):
-    """With one lump less a wave at the bandwidth would be off by more than `error`."""
-    n = lumps_needed(length, BORE, bandwidth, error, oil(1e-12), STIFF)
-    if n > 1:
-        t = math.pi * bandwidth * length / SPEED / (n - 1)
-        assert 1 - math.sin(t) / t > error
-
-
 @pytest.mark.parametrize("n", range(1, 20))
 def test_what_n_lumps_just_reach_takes_n(n):
     """The bandwidth at which n lumps err by 1 - sin(1): rounding of the quotient asks for no more."""

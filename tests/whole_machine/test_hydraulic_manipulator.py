@@ -75,15 +75,6 @@ def test_joined_ode_follows_the_reference():
         assert np.max(np.abs(found[name] - reference[name])) < bar, name
 
 
-def test_manoeuvre_starts_in_equilibrium():
-    """M1 as shipped is the published one: kappa0, 10 mm to the left in 1 ms, 30 to the right in 2 ms."""
-    m1 = read_trace(run.M1)
-    kappa0 = values(HYDRAULICS).u["kappa"]
-    np.testing.assert_array_equal(m1.time, [0, 2, 2.001, 6, 6.002, 10])
-    # printed with ten digits
-    np.testing.assert_allclose(m1["kappa"] - kappa0, [0, 0, -0.01, -0.01, 0.02, 0.02], atol=1e-10)
-
-
 @pytest.fixture(scope="module")
 def run_m1(manipulator_systems):
     """(ports, step, master) -> outcome; each run is made once."""
@@ -161,28 +152,6 @@ def test_hermite_is_stable_at_large_steps(manipulator_systems, step, bar):
     result, error = by_hermite(manipulator_systems, step)
     assert result.complete
     assert error < bar
-
-
-def test_adaptive_steps_meet_the_ramps_and_are_fewer(manipulator_systems):
-    """At 1e-5 within 2e-5 m (measured 5e-7), on the ramps; at 1e-4 a tenth of the steps (178 of 5000)."""
-    result, error = by_hermite(manipulator_systems, adaptive=1e-5)
-    assert error < 2e-5
-    assert set(read_trace(run.M1).time.tolist()) <= set(result.trace.time.tolist())
-    adaptive, error = by_hermite(manipulator_systems, adaptive=1e-4)
-    equal, larger = by_hermite(manipulator_systems, 2e-3)
-    assert larger > error
-    assert adaptive.card.steps < equal.card.steps / 10
-
-
-def test_another_manoeuvre_is_another_file(manipulator_systems, tmp_path):
-    """A manoeuvre with ramps that fit no step runs from its own file and follows the joined ODE."""
-    rows = "time,kappa 0,0.4543455896 0.3,0.4543455896 0.7123,0.47 1.2,0.47 1.55,0.44 2,0.44"
-    (tmp_path / "own.csv").write_text(rows.replace(" ", "\n"))
-    outcome = run.simulate(manipulator_systems["rates"], tmp_path / "own.csv", 1e-3, "jacobi")
-    assert outcome.validation is None
-    assert np.ptp(outcome.truth["arm.s1"]) > 0.01
-    # a kink inside a step is smeared over that step; else the errors of M1
-    assert outcome.error("arm.s1") < 5e-6
 
 
 def test_all_masters_in_one_call(manipulator_systems):
