@@ -193,10 +193,9 @@ def _opening_rates(x: Any, u: Any, own: CylinderDrive, p: Any) -> dict[str, Scal
     }
 
 
-def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
-    """Chambers in balance with the holding forces, hoses drained by the neutral position."""
-    drained = dict.fromkeys(PORTS, u.tank_pressure) | dict.fromkeys(OPENINGS, 0.0)
-    return cylinders.initial(u, own, p) | drained
+def _cylinder_start(u: Any, *_: object) -> dict[str, Scalar]:
+    """Hoses drained by the neutral position."""
+    return dict.fromkeys(PORTS, u.tank_pressure) | dict.fromkeys(OPENINGS, 0.0)
 
 
 # ---- motor
@@ -279,9 +278,9 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     )
 
 
-def _motor_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
-    """Both lines at the preload, the brake as the command has it, without torque."""
-    return motors.initial(u, own, p) | {"brake_torque": 0.0, "brake_applied": 1 - _release(u, own, p)}
+def _motor_start(u: Any, own: Any, p: Any, _: object) -> dict[str, Scalar]:
+    """The brake as the command has it, without torque."""
+    return {"brake_torque": 0.0, "brake_applied": 1 - _release(u, own, p)}
 
 
 MODELS = {
@@ -290,9 +289,7 @@ MODELS = {
         states=CylinderState,
         outputs=CylinderOutputs,
         drive=_cylinder,
-        initial=_cylinder_start,
-        derive=cylinders.derive,
-        require=cylinders.require,
+        start=_cylinder_start,
         common=(CylinderCommon,),
     ),
     MOTOR: Model(
@@ -300,8 +297,7 @@ MODELS = {
         states=MotorState,
         outputs=MotorOutputs,
         drive=_motor,
-        initial=_motor_start,
-        derive=motors.derive,
+        start=_motor_start,
         common=(Reliefs,),
     ),
 }

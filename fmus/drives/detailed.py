@@ -125,7 +125,7 @@ class Lines:
         state: dict[str, Scalar] = {"spool_position": position, "spool_speed": 0.0}
         for end, line in self.chambers:
             state |= dict.fromkeys(line.all(), 0.0)
-            state |= dict.fromkeys((end, *line.pressures), pressures[end])
+            state |= dict.fromkeys(line.pressures, pressures[end])
         return state
 
     def supplied(self, x: Any, u: Any, own: Any, p: Any) -> tuple[Circuit, Sensed, dict[str, Scalar]]:
@@ -165,8 +165,7 @@ def lumps_of(path: Path) -> Callable[[Axis], int]:
     """Lumps of each line that the values of a parameters.toml need below 75 Hz (`hose.lumps_needed`)."""
 
     def lumps(axis: Axis) -> int:
-        kind = cylinders if axis.actuator is CYLINDER else motors
-        own = {axis.name: (kind.LineDrive, axis.name, axis.named)}
+        own = {axis.name: (MODELS[axis.actuator][0], axis.name, axis.named)}
         return needed(
             axis, group_of(path, make_group("Parameters", {}, Common, *axis.actuator.common, **own))
         )
@@ -194,28 +193,19 @@ def _motor(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
     return Drive(whole, load, motors.LINES, motors.torque(own), rates, lines.shown(x, p))
 
 
+# parameters, outputs and drive of an axis
+MODELS: Mapping[Actuator, tuple[type[Group], type[Group], Callable[..., Drive]]] = {
+    CYLINDER: (cylinders.LineDrive, CylinderOutputs, _cylinder),
+    MOTOR: (motors.LineDrive, MotorOutputs, _motor),
+}
+
+
 def detailed(lumps: Callable[[Axis], int]) -> Fidelity:
     """This fidelity with so many lumps in each line of an axis."""
 
     def model(axis: Axis) -> Model:
-        if axis.actuator is CYLINDER:
-            lines = Lines.of(CYLINDER, CylinderOutputs, lumps(axis))
-            return Model(
-                parameters=cylinders.LineDrive,
-                states=lines.states(),
-                outputs=CylinderOutputs,
-                drive=partial(_cylinder, lines),
-                initial=lambda u, own, p: lines.start(u, own, p, cylinders.initial(u, own, p)),
-                derive=cylinders.derive,
-                require=cylinders.require,
-            )
-        lines = Lines.of(MOTOR, MotorOutputs, lumps(axis))
-        return Model(
-            parameters=motors.LineDrive,
-            states=lines.states(),
-            outputs=MotorOutputs,
-            drive=partial(_motor, lines),
-            initial=lambda u, own, p: lines.start(u, own, p, motors.initial(u, own, p)),
-        )
+        parameters, outputs, drive = MODELS[axis.actuator]
+        lines = Lines.of(axis.actuator, outputs, lumps(axis))
+        return Model(parameters, lines.states(), partial(drive, lines), lines.start, outputs)
 
     return Fidelity(model, common=(Common,), valve=CurvedEdges, require=spool_valve.requirements, spool=Spool)

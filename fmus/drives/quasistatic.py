@@ -54,21 +54,8 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
 
 
 MODELS = {
-    CYLINDER: Model(
-        parameters=cylinders.VolumeDrive,
-        states=cylinders.Pressures,
-        drive=_cylinder,
-        initial=cylinders.initial,
-        derive=cylinders.derive,
-        require=cylinders.require,
-    ),
-    MOTOR: Model(
-        parameters=motors.VolumeDrive,
-        states=motors.Pressures,
-        drive=_motor,
-        initial=motors.initial,
-        derive=motors.derive,
-    ),
+    CYLINDER: Model(cylinders.VolumeDrive, cylinders.Pressures, _cylinder),
+    MOTOR: Model(motors.VolumeDrive, motors.Pressures, _motor),
 }
 QUASISTATIC = Fidelity(
     lambda axis: MODELS[axis.actuator], common=(Oil,), valve=CurvedValve, require=spool_valve.requirements
