@@ -78,7 +78,7 @@ def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
         assert abs(speed) * factor <= P.stroke_gain * max(left, 0.0) + reference.CREEP * slack
 
 
-@examples(30)
+@examples(10)
 @given(ANGLES, st.floats(-math.pi, math.pi), st.floats(0.5, 3.0))
 def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, heading, speed):
     """Driven anywhere for 4 s, the machine follows: pistons keep off their ends, the tip stays on a line."""

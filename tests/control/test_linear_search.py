@@ -63,7 +63,9 @@ def test_a_command_leaves_its_dead_band_to_the_side_that_holds_the_load(side, lo
         x=[0, 0, 0], u=[0], names=NAMES,
     )  # fmt: skip
     if dead > 0.3:  # no sign is found with a command of 30 %
-        problem(lambda: find_steady_state(plant), r"found with m\.boom_speed = 0: m\.boom_speed still")
+        told = r"found with m\.boom_speed = {}: m\.boom_speed still changes; use {}"
+        problem(lambda: find_steady_state(plant), told.format(0, "a time"))
+        problem(lambda: find_steady_state(plant, {"boom": 9.0}), told.format(9, "lower speeds"))
         return
     notes, u = find_steady_state(plant), load / gain + np.copysign(dead, load / gain)
     assert plant.u[0] == pytest.approx(u, rel=1e-10)  # Newton's method stops at 1e-11 of the terms
