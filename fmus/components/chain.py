@@ -19,8 +19,7 @@ parent, so the mass of a link counts as a point mass of its parent at d, from th
 bodies", Wittenburg). M, V and G follow from T and U (`fmus.components.mechanics`).
 
 Axes, parents, kinds of joint and numbers that are plain zeros are structure: what they make zero is in no
-expression. All other numbers may be symbols. With numbers, and without common subexpressions, M, V and G are
-246 instructions of CasADi for the 3 joints of the paper's manipulator, 1562 for a crane with 7.
+expression. All other numbers may be symbols.
 
 Signs: x forward, y to the left, z upwards in the base. A revolute joint turns counter-clockwise about its
 axis, a prismatic joint moves its link along its axis.

@@ -1,7 +1,7 @@
 """The page of a crane: levers, gauges, charts and the drawing, as a view description (`resources/view.toml`).
 
-Joints and cylinders of the drawing follow the parameters of the FMU. Beams and brackets have the sizes of the
-description; their thickness is made up.
+Joints and cylinders of the drawing follow the parameters of the FMU. Beams have the sizes of the description;
+their thickness is made up.
 """
 
 from __future__ import annotations
@@ -26,8 +26,6 @@ COLOURS = ("#009e73", "#0072b2", "#d55e00", "#cc79a7", "#e69f00", "#56b4e9", "#7
 RATE, FULL = {True: 3.0, False: 10.0}, {True: 4.0, False: 6.0}  # V/s, ramps; V at full deflection
 SLENDER, TAPER = 0.042, 0.86  # depth of the first beam over the reach, of the next one over that
 LEAST = 0.09  # m, of a beam
-BRACKET = 0.16  # m, half the foot of a bracket
-NEAR = 0.06  # m: a pin so near to the line of its beam has no bracket
 PEDESTAL = 0.3  # m, radius
 RELIEVED, STOPPED = 1.7e-5, 1e3  # m3/s of a relief valve, N of a stop, from which a gauge tells so
 HERE = np.zeros(3)
@@ -291,7 +289,7 @@ def _reach(crane: CraneDescription) -> float:
 
 
 def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
-    """A beam from each joint to each joint behind it and to the tip, brackets of the pins; or a mesh."""
+    """A beam from each joint to each joint behind it and to the tip, a bar to each of its pins; or a mesh."""
     depth, last = SLENDER * reach, crane.joint(crane.payload_on)
     first = crane.joints[0]
     yield _round(
@@ -310,12 +308,10 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
             yield from _beam(j.name, -_inside(crane, j) * j.direction, HERE, thick, "steel")
         for end in ends:
             yield from _beam(j.name, HERE, end, thick, colour)
-        for pin in _pins(crane, j):
-            yield from _bracket(j.name, pin, [e[::2] for e in ends], thick)
+        for x, z in _pins(crane, j):
+            yield from _beam(j.name, HERE, np.array([x, 0, z]), LEAST, "dark")
         if ends:
             yield _round(j.name, "y", (0.3 * thick, 0.3 * thick, 1.1 * thick), (0, -0.55 * thick, 0), "steel")
-        if j is last and ends and ends[-1][2] < -math.hypot(*ends[-1][:2]):
-            yield from _claws(j.name, ends[-1][2])
         for bar in BARS if j.four_bar else ():
             yield from _beam(f"{j.name}_{bar}", HERE, np.array([j[bar], 0, 0]), LEAST, "dark")
 
@@ -355,26 +351,6 @@ def _beam(body: str, begin: Array, end: Array, thick: float, colour: str) -> Ite
     outline = np.vstack([upper, upper[::-1] * (1, -1)])
     path = np.round(begin[::2] + thick * outline @ [[x, z], [-z, x]], 4).tolist()
     yield {"body": body, "kind": "plate", "size": [round(0.75 * thick, 4)], "path": path, "colour": colour}
-
-
-def _claws(body: str, down: float) -> Iterator[dict[str, Any]]:
-    """The open jaws of a hanging grapple, so that the tip is between them."""
-    for x in (-0.12, 0.12):
-        path = [[x, a, b * down] for a, b in ((0.06, 0.4), (0.42, 0.55), (0.5, 0.85), (0.22, 1.15))]
-        yield {"body": body, "kind": "tube", "size": [0.035], "path": path, "colour": "dark", "mirror": True}
-
-
-def _bracket(body: str, pin: Array, ends: Sequence[Array], thick: float) -> Iterator[dict[str, Any]]:
-    """Two cheeks from a pin to the nearest beam."""
-    beams = [(end / long, long) for end in ends if (long := math.hypot(*end)) > NEAR]
-    feet = [(float(np.clip(pin @ along, 0, long)) * along, along) for along, long in beams]
-    foot, along = min(feet, key=lambda f: math.dist(pin, f[0]), default=(pin, pin))
-    if math.dist(pin, foot) < NEAR:
-        return
-    near, far = 0.06 * along, BRACKET * along
-    path = [[*x] for x in (foot - far, pin - near, pin + near, foot + far)]
-    shape = {"body": body, "kind": "plate", "size": [0.035], "at": [0, round(0.4 * thick, 4), 0]}
-    yield {**shape, "path": path, "colour": "dark", "mirror": True}
 
 
 def _round(body: str, axis: str, size: Sequence[float], at: Sequence[float], colour: str) -> dict[str, Any]:

@@ -34,10 +34,10 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from fmus.components import chamber, circuit, counterbalance_valve, hose, motor, spool_valve
+from fmus.components import chamber, counterbalance_valve, hose, motor, spool_valve
 from fmus.components import pressure_compensator as compensator
 from fmus.components.chamber import AeratedOil, Air
-from fmus.components.circuit import Branch, Circuit, Kind, Node
+from fmus.components.circuit import Branch, Circuit, Kind
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.hose import HoseWall, in_series
 from fmus.components.load_sensing import sensed
@@ -193,10 +193,9 @@ def _opening_rates(x: Any, u: Any, own: CylinderDrive, p: Any) -> dict[str, Scal
     }
 
 
-def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
-    """Chambers in balance with the holding forces, hoses drained by the neutral position."""
-    drained = dict.fromkeys(PORTS, u.tank_pressure) | dict.fromkeys(OPENINGS, 0.0)
-    return cylinders.initial(u, own, p) | drained
+def _cylinder_start(u: Any, *_: object) -> dict[str, Scalar]:
+    """Hoses drained by the neutral position."""
+    return dict.fromkeys(PORTS, u.tank_pressure) | dict.fromkeys(OPENINGS, 0.0)
 
 
 # ---- motor
@@ -246,13 +245,8 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     ports = compensator.section_ports(section, u.command, both(x, LINES), u)
     edges = (ports[0].edges, ports[1].edges)
     volume = hose.area(line.bore) * line.length + own.motor_volume
-    oil = (own.capacitance(p, u.oil_temperature), volume, Air.of(p))
-    whole = Circuit(
-        {
-            **circuit.lines(u),
-            "pressure_a": Node(x.pressure_a, "C_1", *oil),
-            "pressure_b": Node(x.pressure_b, "C_2", *oil),
-        },
+    whole = motors.ends(x, u, own.capacitance(p, u.oil_temperature), volume, Air.of(p)) | Circuit(
+        {},
         {
             **_edges(section, ports, LINES, u.supply_pressure),
             **motor.branches(LINES, own.displacement * u.speed, *own.leakage),
@@ -284,9 +278,9 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     )
 
 
-def _motor_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
-    """Both lines at the preload, the brake as the command has it, without torque."""
-    return motors.initial(u, own, p) | {"brake_torque": 0.0, "brake_applied": 1 - _release(u, own, p)}
+def _motor_start(u: Any, own: Any, p: Any, _: object) -> dict[str, Scalar]:
+    """The brake as the command has it, without torque."""
+    return {"brake_torque": 0.0, "brake_applied": 1 - _release(u, own, p)}
 
 
 MODELS = {
@@ -295,9 +289,7 @@ MODELS = {
         states=CylinderState,
         outputs=CylinderOutputs,
         drive=_cylinder,
-        initial=_cylinder_start,
-        derive=cylinders.derive,
-        require=cylinders.require,
+        start=_cylinder_start,
         common=(CylinderCommon,),
     ),
     MOTOR: Model(
@@ -305,8 +297,7 @@ MODELS = {
         states=MotorState,
         outputs=MotorOutputs,
         drive=_motor,
-        initial=_motor_start,
-        derive=motors.derive,
+        start=_motor_start,
         common=(Reliefs,),
     ),
 }

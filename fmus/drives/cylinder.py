@@ -105,25 +105,6 @@ class LineDrive(Cylinder, hose=(Hose, "{} hose")):
     """Cylinder and hoses, each hose a line."""
 
 
-CYLINDER = Actuator(
-    sides=("head", "rod"),
-    pattern="{side}_{of}",
-    line=("{side}_hose", "", "the {side} hose of the {{}}"),
-    ends=("valve_flow", "flow"),
-    pressures=Pressures,
-    flows=Flows,
-    outputs=Outputs,
-    totals=CylinderTotals,
-    common=(Preload, ReferenceHose),
-    hose=lambda own: own.hose,
-    terminal=lambda axis: ports.rod(axis, drives=True),
-    power=("force", "velocity"),
-)
-PISTON = ("ẋ", "B")  # speed of a piston, and damping of its seals, which is in the mechanics
-CHAMBERS = CYLINDER.names("pressure")
-PORTS = CYLINDER.names("valve_pressure")
-
-
 def ends(x: Any, u: Any, own: Cylinder, oil: Oil, capacitance: Scalar = 0) -> Circuit:
     """The lines, the chambers, and the piston as two gyrators; capacitance: of each hose [m3/Pa]."""
     (head, rod), (v_head, v_rod) = own.areas, own.volumes(u.position)
@@ -183,3 +164,25 @@ def derive(own: Any, p: Any) -> dict[str, Scalar]:
     """Parameters of the hoses; walls are rigid in variants without a modulus for them."""
     of = (p.hose_reference_resistance, getattr(p, "hose_wall_modulus", math.inf))
     return {f"hose_{name}": value for name, value in hose.derived_parameters(own.hose, p, *of).items()}
+
+
+CYLINDER = Actuator(
+    sides=("head", "rod"),
+    pattern="{side}_{of}",
+    line=("{side}_hose", "", "the {side} hose of the {{}}"),
+    ends=("valve_flow", "flow"),
+    pressures=Pressures,
+    flows=Flows,
+    outputs=Outputs,
+    totals=CylinderTotals,
+    common=(Preload, ReferenceHose),
+    hose=lambda own: own.hose,
+    terminal=lambda axis: ports.rod(axis, drives=True),
+    power=("force", "velocity"),
+    initial=initial,
+    derive=derive,
+    require=require,
+)
+PISTON = ("ẋ", "B")  # speed of a piston, and damping of its seals, which is in the mechanics
+CHAMBERS = CYLINDER.names("pressure")
+PORTS = CYLINDER.names("valve_pressure")

@@ -24,7 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.components import chamber, circuit, hose, load_sensing, motor, opening_curve, spool_valve
+from fmus.components import chamber, hose, load_sensing, motor, opening_curve, spool_valve
 from fmus.components.chamber import AeratedOil
 from fmus.components.circuit import Circuit, Node
 from fmus.components.hose import HoseWall, HydraulicLine, LineStates
@@ -125,13 +125,12 @@ class Lines:
         state: dict[str, Scalar] = {"spool_position": position, "spool_speed": 0.0}
         for end, line in self.chambers:
             state |= dict.fromkeys(line.all(), 0.0)
-            state |= dict.fromkeys((end, *line.pressures), pressures[end])
+            state |= dict.fromkeys(line.pressures, pressures[end])
         return state
 
-    def supplied(
-        self, x: Any, u: Any, own: Any, p: Any, line: HydraulicLine
-    ) -> tuple[Circuit, Sensed, dict[str, Scalar]]:
+    def supplied(self, x: Any, u: Any, own: Any, p: Any) -> tuple[Circuit, Sensed, dict[str, Scalar]]:
         """From the edges to the chambers; load pressure; rates of the spool."""
+        line = line_of(self.kind, own, p)
         valve, ports = valve_of(own, p), self.kind.names("valve_pressure")
         spool = getattr(own, "spool", None) or p.spool
         state = SpoolState(x.spool_position, x.spool_speed)
@@ -156,15 +155,9 @@ class Lines:
         return {"spool_position": x.spool_position, **named}
 
 
-def hose_line(own: Any, p: Any) -> HydraulicLine:
-    """Parameters of each of the two hoses of a cylinder."""
-    h = own.hose
-    return HydraulicLine(h.length, h.bore, h.friction(p), p.hose_wall_modulus, p)
-
-
-def motor_line(own: Any, p: Any) -> HydraulicLine:
-    """Parameters of each of the two lines of a motor."""
-    line = own.line
+def line_of(kind: Actuator, own: Any, p: Any) -> HydraulicLine:
+    """Parameters of each of the two hoses of a cylinder, or lines of a motor."""
+    line: Any = kind.hose(own)
     return HydraulicLine(line.length, line.bore, line.friction(p), p.hose_wall_modulus, p)
 
 
@@ -172,8 +165,7 @@ def lumps_of(path: Path) -> Callable[[Axis], int]:
     """Lumps of each line that the values of a parameters.toml need below 75 Hz (`hose.lumps_needed`)."""
 
     def lumps(axis: Axis) -> int:
-        kind = cylinders if axis.actuator is CYLINDER else motors
-        own = {axis.name: (kind.LineDrive, axis.name, axis.named)}
+        own = {axis.name: (MODELS[axis.actuator][0], axis.name, axis.named)}
         return needed(
             axis, group_of(path, make_group("Parameters", {}, Common, *axis.actuator.common, **own))
         )
@@ -183,52 +175,37 @@ def lumps_of(path: Path) -> Callable[[Axis], int]:
 
 def needed(axis: Axis, p: Any) -> int:
     """Lumps of each line of an axis that the parameters of its part need below 75 Hz."""
-    line = hose_line if axis.actuator is CYLINDER else motor_line
-    return hose.default_lumps(line(getattr(p, axis.name), p))
+    return hose.default_lumps(line_of(axis.actuator, getattr(p, axis.name), p))
 
 
 def _cylinder(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
-    supplied, load, rates = lines.supplied(x, u, own, p, hose_line(own, p))
+    supplied, load, rates = lines.supplied(x, u, own, p)
     whole = cylinders.ends(x, u, own, p) | supplied
     whole |= Circuit({}, cylinders.reliefs(p.relief, own, p, cylinders.CHAMBERS))
     return Drive(whole, load, cylinders.CHAMBERS, cylinders.force(own), rates, lines.shown(x, p))
 
 
 def _motor(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
-    supplied, load, rates = lines.supplied(x, u, own, p, motor_line(own, p))
-    whole = supplied | Circuit(
-        {
-            **circuit.lines(u),
-            "pressure_a": Node(x.pressure_a, "C_1", 0, own.motor_volume, p),
-            "pressure_b": Node(x.pressure_b, "C_2", 0, own.motor_volume, p),
-        },
-        {**motor.branches(motors.LINES, own.displacement * u.speed, *own.leakage), **motors.reliefs(own, p)},
-    )
+    supplied, load, rates = lines.supplied(x, u, own, p)
+    whole = supplied | motors.ends(x, u, 0, own.motor_volume, p)
+    whole |= Circuit({}, motor.branches(motors.LINES, own.displacement * u.speed, *own.leakage))
+    whole |= Circuit({}, motors.reliefs(own, p))
     return Drive(whole, load, motors.LINES, motors.torque(own), rates, lines.shown(x, p))
+
+
+# parameters, outputs and drive of an axis
+MODELS: Mapping[Actuator, tuple[type[Group], type[Group], Callable[..., Drive]]] = {
+    CYLINDER: (cylinders.LineDrive, CylinderOutputs, _cylinder),
+    MOTOR: (motors.LineDrive, MotorOutputs, _motor),
+}
 
 
 def detailed(lumps: Callable[[Axis], int]) -> Fidelity:
     """This fidelity with so many lumps in each line of an axis."""
 
     def model(axis: Axis) -> Model:
-        if axis.actuator is CYLINDER:
-            lines = Lines.of(CYLINDER, CylinderOutputs, lumps(axis))
-            return Model(
-                parameters=cylinders.LineDrive,
-                states=lines.states(),
-                outputs=CylinderOutputs,
-                drive=partial(_cylinder, lines),
-                initial=lambda u, own, p: lines.start(u, own, p, cylinders.initial(u, own, p)),
-                derive=cylinders.derive,
-                require=cylinders.require,
-            )
-        lines = Lines.of(MOTOR, MotorOutputs, lumps(axis))
-        return Model(
-            parameters=motors.LineDrive,
-            states=lines.states(),
-            outputs=MotorOutputs,
-            drive=partial(_motor, lines),
-            initial=lambda u, own, p: lines.start(u, own, p, motors.initial(u, own, p)),
-        )
+        parameters, outputs, drive = MODELS[axis.actuator]
+        lines = Lines.of(axis.actuator, outputs, lumps(axis))
+        return Model(parameters, lines.states(), partial(drive, lines), lines.start, outputs)
 
     return Fidelity(model, common=(Common,), valve=CurvedEdges, require=spool_valve.requirements, spool=Spool)

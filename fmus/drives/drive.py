@@ -38,6 +38,10 @@ Additions = tuple[tuple[str, type[Addition]], ...]  # name and component
 Names = tuple[str, str]  # of the two sides of an actuator
 
 
+def _none(*_: Any) -> dict[str, Scalar]:
+    return {}
+
+
 @dataclass(frozen=True)
 class Actuator:
     """A cylinder or a motor between two chambers.
@@ -52,6 +56,9 @@ class Actuator:
     hose       one of both hoses or lines, by the parameters of an axis
     terminal   power port, by the name of the axis
     power      the variables of an axis whose product is its mechanical power
+    initial    (u, own, p) -> pressures of the chambers at the start, by name
+    derive     (own, p) -> {parameter: value}
+    require    (u, own, p) -> {statement: margin}; "{}" stands for the name of the axis
     """
 
     sides: Names
@@ -66,6 +73,9 @@ class Actuator:
     hose: Callable[[Any], HoseSize]
     terminal: Callable[[str], Terminal]
     power: Names
+    initial: Callable[[Any, Any, Any], Mapping[str, Scalar]]
+    derive: Callable[[Any, Any], Mapping[str, Scalar]]
+    require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
 
     def names(self, of: str) -> Names:
         """Names of a variable of both sides, without that of the axis."""
@@ -77,10 +87,6 @@ def both(values: Any, names: Names) -> tuple[Scalar, Scalar]:
     """Two variables of a group, or of names."""
     a, b = ((values[n] if isinstance(values, Mapping) else getattr(values, n)) for n in names)
     return a, b
-
-
-def _none(*_: Any) -> dict[str, Scalar]:
-    return {}
 
 
 @dataclass(frozen=True)
@@ -155,20 +161,16 @@ class Model:
     parameters  of the axis
     states      of the axis
     drive       (x, u, own, p) -> drive
-    initial     (u, own, p) -> {state: value}
+    start       (u, own, p, pressures) -> values at the start of the states beside these of the chambers
     outputs     beyond those of every variant
-    derive      (own, p) -> {parameter: value}
-    require     (u, own, p) -> {statement: margin}; "{}" stands for the name of the axis
     common      parameters that all axes share
     """
 
     parameters: type[Group]
     states: type[Group]
     drive: Callable[[Any, Any, Any, Any], Drive]
-    initial: Callable[[Any, Any, Any], Mapping[str, Scalar]]
+    start: Callable[[Any, Any, Any, Mapping[str, Scalar]], Mapping[str, Scalar]] = _none
     outputs: type[Group] | None = None
-    derive: Callable[[Any, Any], Mapping[str, Scalar]] = _none
-    require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
     common: tuple[type[Group], ...] = ()
 
 
@@ -304,7 +306,8 @@ class _Part:
         """Initial values of the states."""
         start: dict[str, Scalar] = {}
         for a in self.at(x, u, p):
-            start |= a.axis.of(a.model.initial(a.u, a.own, p))
+            pressures = a.axis.actuator.initial(a.u, a.own, p)
+            start |= a.axis.of({**pressures, **a.model.start(a.u, a.own, p, pressures)})
             for name, _ in a.axis.additions:
                 start |= a.axis.of({f"{name}_{n}": v for n, v in getattr(a.own, name).start().items()})
         return start
@@ -314,7 +317,7 @@ class _Part:
         found = dict(self.fidelity.require(p.valve, p)) if hasattr(p, "valve") else {}
         for a in self.at(x, u, p):
             found |= a.axis.of(self.fidelity.require(a.own.valve, p)) if a.axis.own_valve else {}
-            required = a.model.require(a.u, a.own, p)
+            required = a.axis.actuator.require(a.u, a.own, p)
             found |= {n.replace("{}", a.axis.name): margin for n, margin in required.items()}
         return found
 
@@ -322,8 +325,8 @@ class _Part:
         """Derived parameters."""
         return {
             axis.parameter(n): value
-            for axis, model in self.models.items()
-            for n, value in model.derive(getattr(p, axis.name), p).items()
+            for axis in self.models
+            for n, value in axis.actuator.derive(getattr(p, axis.name), p).items()
         }
 
 

@@ -14,10 +14,10 @@ The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is requi
 from collections.abc import Callable
 from typing import Any
 
-from fmus.components import circuit, motor, spool_valve
+from fmus.components import motor, spool_valve
 from fmus.components.chamber import Oil
 from fmus.components.circuit import Circuit, Node
-from fmus.components.hose import ShortLine, column, inertance, laminar_resistance
+from fmus.components.hose import ShortLine, column
 from fmus.components.load_sensing import sensed
 from fmus.components.spool_valve import CurvedValve
 from fmus.contract import Scalar
@@ -70,24 +70,14 @@ def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
     return Drive(whole, sensed(valve_of(own, p), u), cylinders.CHAMBERS, cylinders.force(own))
 
 
-def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
-    """Pressures in balance with the holding force, oil at rest."""
-    return cylinders.initial(u, own, p) | dict.fromkeys(CYLINDER.names("flow"), 0)
-
-
 def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     line, ports = own.line, MOTOR.names("motor_pressure")
     turbulent = ShortLine(0, line.turbulent_resistance)
     supplied = _supplied(MOTOR, x, u, own, p, line.inertance, turbulent.drop, ("I_1", "I_2"))
-    capacitance = own.capacitance(p, u.oil_temperature)
-    nodes = {
-        **circuit.lines(u),
-        "pressure_a": Node(x.pressure_a, "C_1", capacitance),
-        "pressure_b": Node(x.pressure_b, "C_2", capacitance),
-    }
-    whole = Circuit(nodes, {}) | supplied
+    around = motors.ends(x, u, own.capacitance(p, u.oil_temperature))
+    whole = around | supplied
     whole |= motor.behind_lines(
-        nodes, motors.LINES, ports, line.resistance, own.displacement * u.speed, *own.leakage
+        around.nodes, motors.LINES, ports, line.resistance, own.displacement * u.speed, *own.leakage
     )
 
     def effort(whole: Circuit) -> dict[str, Scalar]:
@@ -101,34 +91,18 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     return Drive(whole, sensed(valve_of(own, p), u), motors.LINES, effort)
 
 
-def _motor_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
-    """Both lines at the preload, oil at rest, no torque."""
-    return motors.initial(u, own, p) | dict.fromkeys(MOTOR.names("flow"), 0)
-
-
-def _motor_lines(own: Any, p: Any) -> dict[str, Scalar]:
-    size = (own.line.length, own.line.bore)
-    return motors.derive(own, p) | {
-        "line_inertance": inertance(*size, p.density),
-        "line_resistance": laminar_resistance(*size, p.viscosity),
-    }
-
-
 MODELS = {
     CYLINDER: Model(
         parameters=cylinders.LumpedDrive,
         states=CylinderState,
         drive=_cylinder,
-        initial=_cylinder_start,
-        derive=cylinders.derive,
-        require=cylinders.require,
+        start=lambda *_: dict.fromkeys(CYLINDER.names("flow"), 0),
     ),
     MOTOR: Model(
         parameters=motors.LumpedDrive,
         states=MotorState,
         drive=_motor,
-        initial=_motor_start,
-        derive=_motor_lines,
+        start=lambda *_: dict.fromkeys(MOTOR.names("flow"), 0),
     ),
 }
 LUMPED = Fidelity(

@@ -12,9 +12,9 @@ from functools import partial
 from typing import Any
 
 from fmus import ports
-from fmus.components import chamber, hose
+from fmus.components import chamber, circuit, hose
 from fmus.components.chamber import Oil
-from fmus.components.circuit import TANK, Branch, Circuit, Kind
+from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
 from fmus.components.cylinder import holding_pressures
 from fmus.components.hose import HoseSize, ShortLine
 from fmus.components.oil import DENSITY, LAMINAR, TURBULENT
@@ -187,21 +187,12 @@ class Signals(Group):
     )
 
 
-MOTOR = Actuator(
-    sides=("a", "b"),
-    pattern="{of}_{side}",
-    line=("line", "_{side}", "{{}} line {Side}"),
-    ends=("flow", "motor_flow"),
-    pressures=Pressures,
-    flows=Flows,
-    outputs=Outputs,
-    totals=Totals,
-    common=(Preload,),
-    hose=lambda own: own.line,
-    terminal=lambda axis: ports.shaft(axis, True, "holding_torque"),
-    power=("torque", "speed"),
-)
-LINES = MOTOR.names("pressure")
+def ends(x: Any, u: Any, capacitance: Scalar, *oil: Any) -> Circuit:
+    """The lines, and both sides of the motor; oil: their volume [m3] and what is in it, as of `Node`."""
+    nodes = {
+        n: Node(getattr(x, n), of, capacitance, *oil) for n, of in zip(LINES, ("C_1", "C_2"), strict=True)
+    }
+    return Circuit({**circuit.lines(u), **nodes}, {})
 
 
 def reliefs(own: Any, p: Any) -> dict[str, Branch]:
@@ -239,7 +230,30 @@ def initial(u: Any, own: Motor, p: Any) -> dict[str, Scalar]:
 
 
 def derive(own: Any, p: Any) -> dict[str, Scalar]:
-    """Capacitance of a line with its motor side; walls are rigid in variants without a modulus for them."""
-    wall = getattr(p, "hose_wall_modulus", math.inf)
-    line = hose.capacitance(own.line.length, own.line.bore, p.bulk_modulus, wall)
-    return {"line_capacitance": line + own.motor_volume / p.bulk_modulus}
+    """Parameters of a line with its motor side; walls are rigid in variants without a modulus for them."""
+    size, wall = (own.line.length, own.line.bore), getattr(p, "hose_wall_modulus", math.inf)
+    parameters = {
+        "capacitance": hose.capacitance(*size, p.bulk_modulus, wall) + own.motor_volume / p.bulk_modulus,
+        "inertance": hose.inertance(*size, p.density),
+        "resistance": hose.laminar_resistance(*size, p.viscosity),
+    }
+    return {f"line_{n}": value for n, value in parameters.items() if hasattr(own.line, n)}
+
+
+MOTOR = Actuator(
+    sides=("a", "b"),
+    pattern="{of}_{side}",
+    line=("line", "_{side}", "{{}} line {Side}"),
+    ends=("flow", "motor_flow"),
+    pressures=Pressures,
+    flows=Flows,
+    outputs=Outputs,
+    totals=Totals,
+    common=(Preload,),
+    hose=lambda own: own.line,
+    terminal=lambda axis: ports.shaft(axis, True, "holding_torque"),
+    power=("torque", "speed"),
+    initial=initial,
+    derive=derive,
+)
+LINES = MOTOR.names("pressure")

@@ -15,9 +15,9 @@ The pressures are those of the motor ports. The torque depends only on states.
 
 from typing import Any
 
-from fmus.components import circuit, motor, spool_valve
+from fmus.components import motor, spool_valve
 from fmus.components.chamber import Oil
-from fmus.components.circuit import Circuit, Node
+from fmus.components.circuit import Circuit
 from fmus.components.hose import Law, in_series
 from fmus.components.load_sensing import sensed
 from fmus.components.spool_valve import CurvedValve
@@ -48,33 +48,14 @@ def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
 
 def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     supplied, flows = _supplied(MOTOR, x, u, own, p, own.line.friction(p))
-    capacitance = own.capacitance(p, u.oil_temperature)
-    nodes = {
-        **circuit.lines(u),
-        "pressure_a": Node(x.pressure_a, "C_1", capacitance),
-        "pressure_b": Node(x.pressure_b, "C_2", capacitance),
-    }
-    whole = Circuit(nodes, {}) | supplied
+    whole = motors.ends(x, u, own.capacitance(p, u.oil_temperature)) | supplied
     whole |= Circuit({}, motor.branches(motors.LINES, own.displacement * u.speed, *own.leakage))
     return Drive(whole, sensed(valve_of(own, p), u), motors.LINES, motors.torque(own), shown=flows)
 
 
 MODELS = {
-    CYLINDER: Model(
-        parameters=cylinders.VolumeDrive,
-        states=cylinders.Pressures,
-        drive=_cylinder,
-        initial=cylinders.initial,
-        derive=cylinders.derive,
-        require=cylinders.require,
-    ),
-    MOTOR: Model(
-        parameters=motors.VolumeDrive,
-        states=motors.Pressures,
-        drive=_motor,
-        initial=motors.initial,
-        derive=motors.derive,
-    ),
+    CYLINDER: Model(cylinders.VolumeDrive, cylinders.Pressures, _cylinder),
+    MOTOR: Model(motors.VolumeDrive, motors.Pressures, _motor),
 }
 QUASISTATIC = Fidelity(
     lambda axis: MODELS[axis.actuator], common=(Oil,), valve=CurvedValve, require=spool_valve.requirements

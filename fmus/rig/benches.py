@@ -46,8 +46,8 @@ from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
 from fmus.components.orifice import root
 from fmus.components.spool_valve import SpoolState
 from fmus.contract import Scalar, column, quantities
-from fmus.drives.cylinder import Flows
-from fmus.drives.detailed import hose_line, lumps_of
+from fmus.drives.cylinder import CYLINDER, Flows
+from fmus.drives.detailed import line_of, lumps_of
 from fmus.monolith import Monolith, simulate
 from fmus.parameters import parameters
 from orchestrator.data.table import Array
@@ -183,7 +183,7 @@ def _lumped_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]
 
 def _detailed_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]:
     p = detailed()
-    of, lumps = hose_line(p.stick, p), lumps_of(boom_stick.VALUES)(boom_stick.AXES[1])
+    of, lumps = line_of(CYLINDER, p.stick, p), lumps_of(boom_stick.VALUES)(boom_stick.AXES[1])
     ends = dict.fromkeys(("flow_in", "flow_out"), quantities(Flows)["head_flow"])
     states = hose.line_states(ends, "inner", "", "the hose", lumps)
 

@@ -5,7 +5,6 @@ import re
 
 import numpy as np
 import pytest
-from kit.steering import PART, V, measured, rates
 
 from benchmarks.learning import AXES, Case, dead_band, tracked
 from orchestrator import Trace, run
@@ -33,17 +32,6 @@ def test_dead_bands_come_out_as_they_are(machine, monkeypatch, by):
     assert np.sqrt((error[on] ** 2).mean()) < 0.004
 
 
-def test_what_was_learned_can_be_given_back(machine, monkeypatch):
-    """Outputs have the names of start values: with those of a first run the next begins as it ended."""
-    given = dead_band("lumped", 0.2)
-    _, first, _ = worked(machine, monkeypatch, given)
-    kept = {n: float(first[n][-1]) for n in KEPT if "half_width" not in n}
-    error, trace, _ = worked(machine, monkeypatch, given | kept, before=0.0)
-    for name, value in kept.items():
-        assert trace[name][0] == value, name
-    assert error.max() < 0.010
-
-
 def test_the_command_keeps_what_was_learned_in_a_file(machine, tmp_path, capsys):
     """Dead bands and play that nobody knows: a run with the file begins as good as the last one ended."""
     system, file = str(machine), tmp_path / "learned.ssv"
@@ -66,17 +54,6 @@ def test_the_command_keeps_what_was_learned_in_a_file(machine, tmp_path, capsys)
         assert float(values[name.partition(".")[2]]) == pytest.approx(0.2, abs=0.05), name  # 40 s in all
 
 
-def test_only_the_direction_that_is_wrong_changes():
-    """A valve whose oil is late in one direction: an observer that sees it changes this side alone."""
-    u = measured(0.2, -1.4, vertical_velocity=0.3)
-    x = dict(zip(PART.states, PART.start(u), strict=True))
-    x |= {"vertical_lever": 0.3, "boom_late_command": 0.06, "boom_oil_shift": 1e-3, "coordination": 1.0}
-    x |= {f"boom_covariance_{n}": 1.0 for n in ("11", "22")}
-    moved = dict(zip(PART.states, rates(np.array(list(x.values())), u, learning=1.0), strict=True))
-    assert moved["boom_dead_band_up"] > 0
-    assert moved["boom_dead_band_down"] == moved["boom_flow_down"] == 0
-
-
 def test_ten_minutes_at_rest_teach_nothing(machine):
     """Engaged without a wish, dead bands off by 0.2 V either way: learned values are those of the start."""
     for by in (-0.2, 0.2):
@@ -93,20 +70,3 @@ def test_a_jump_of_the_dead_band_is_learned_within_half_a_minute(machine, monkey
     _, trace, begin = worked(machine, monkeypatch, start, before=30.0)
     at_begin = np.searchsorted(trace.time, begin)
     np.testing.assert_allclose([trace[n][at_begin] for n in BANDS], 0.0, atol=0.05)
-
-
-def test_off_the_commands_are_those_of_known_valves():
-    """`learning` 0: rates of commands do not depend on what only learning has, and nothing is learned."""
-    rng = np.random.default_rng(3)
-    u = measured(0.2, -1.4, vertical_velocity=0.3, swing_velocity=0.1, radial_velocity=0.1)
-    own = [n for n in PART.states if n.endswith(("late_command", "oil_shift")) or "covariance" in n]
-    x = dict(zip(PART.states, PART.start(u), strict=True))
-    x |= {"vertical_lever": 0.3, "turning_lever": 0.1, "radial_lever": 0.1, "coordination": 1.0}
-    first = rates(np.array(list(x.values())), u, learning=0.0)
-    other = rates(np.array(list((x | {n: rng.normal() for n in own}).values())), u, learning=0.0)
-    for name, a, b in zip(PART.states, first, other, strict=True):
-        if name not in own:
-            assert a == b, name
-        if name in LEARNED:
-            assert a == 0, name
-    assert V.p["learning"] == 0

@@ -1,4 +1,4 @@
-"""The controller and its system in other tools: FMPy, Ecos and libcosim move the tip as our master does.
+"""The system with the controller in other tools: Ecos and libcosim move the tip as our master does.
 
 The joystick goes inwards by 0.3 m/s from the beginning, engaged from the beginning: nothing that a tool
 would have to read from a file.
@@ -6,9 +6,6 @@ would have to read from a file.
 
 import numpy as np
 import pytest
-from fmpy import simulate_fmu
-from fmpy.ssp.simulation import simulate_ssp
-from fmpy.ssp.ssd import read_ssv
 from kit.work_cycle import check_log, load
 
 from orchestrator import Trace, run
@@ -28,30 +25,6 @@ def ours(fmu_dir) -> list[float]:
     trace = run(fmu_dir / "harvester_control.ssp", Trace(np.array([0, STOP]), wanted), record=names).trace
     assert trace[names[0]][-1] == pytest.approx(trace[names[0]][0] + SPEED * (STOP - 0.15), abs=0.01)  # lag
     return [trace[n][-1] for n in names]
-
-
-@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
-@pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
-def test_fmpy_runs_the_controller_alone(request, capfd, version, kind):
-    """simulate_fmu: with the machine's measurements at rest, the joystick makes the stick fold in."""
-    path = str(request.getfixturevalue(version) / "controller.fmu")
-    rows = simulate_fmu(path, fmi_type=kind, stop_time=0.5, output_interval=5e-3, start_values=JOYSTICK)
-    assert all(np.isfinite(rows[column]).all() for column in rows.dtype.names)
-    assert 0.6 < rows["stick_command"][-1] < 10  # beyond the dead band
-    check_log("".join(capfd.readouterr()))
-
-
-def test_fmpy_runs_the_system(fmu_dir, ours):
-    """simulate_ssp: inwards, level, calm, though it gives zeros to all connected inputs in the first step."""
-    system = str(fmu_dir / "harvester_control.ssp")
-    chosen = read_ssv(system, "resources/nominal.ssv")
-    for name, value in JOYSTICK.items():
-        parameter = type(chosen.parameters[0])()
-        parameter.name, parameter.type, parameter.value = f"controller.{name}", "Real", str(value)
-        chosen.parameters.append(parameter)
-    rows = simulate_ssp(system, stop_time=STOP, step_size=STEP, parameter_set=chosen)
-    # the controller takes the zeros for another pose: its reference begins 0.15 m further out
-    assert [rows[f"manipulator.{n}"][-1] for n in TIP] == pytest.approx(ours, abs=0.2)
 
 
 def test_ecos_runs_the_system(fmu_dir, capfd, ours):

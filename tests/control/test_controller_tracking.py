@@ -109,12 +109,6 @@ def test_hysteresis_is_stepped_over_and_learned(machine, path, kind, case):
     assert rms(error) < mean
 
 
-def test_the_step_of_the_master_does_not_matter(machine):
-    """1 ms and 5 ms: the same path to a tenth of the error."""
-    errors = [tracked(machine, "square", step=step)[1] for step in (1e-3, 5e-3)]
-    assert np.abs(errors[0] - errors[1]).max() < 0.1 * errors[0].max()
-
-
 @pytest.mark.parametrize("pose", shards.few(("reach", "square"), [*POSES, "line", "square"], shards.machine))
 def test_every_pose_is_held(machine, pose):
     """Engaged from the start without a wish: no command leaves the dead band, the tip stays within 2 mm."""
@@ -125,18 +119,3 @@ def test_every_pose_is_held(machine, pose):
     for name in COMMANDS:
         assert trace[name][0] == 0
         assert np.abs(trace[name]).max() < 0.8 + 0.2  # V: dead band, half of its rounding, of the play
-
-
-def test_a_lost_supply_is_waited_for_and_made_up_for(machine):
-    """3 MPa for 3 s on the line: the tip falls behind, catches up, and goes 20 mm too far at most."""
-    usual = read_trace(data("scenarios/line.csv"))
-    time = usual.time
-    lost = 20.684e6 - 17.684e6 * np.clip(np.minimum((time - 3) / 0.2, (6 - time) / 0.2), 0, 1)
-    wanted = Trace(time, dict(usual.signals) | {"supply_pressure": lost})
-    when, error, trace = tracked(machine, "line", wanted)
-    assert error[when < 3].max() < 0.030
-    assert 0.050 < error[(when > 5) & (when < 6)].max() < 0.200
-    assert error[-1] < 0.010
-    goal = np.interp(when, time, usual["path_angle"])
-    out = (when > 6) & (when < 11)  # on the way out: swinging to the left, behind its point
-    assert (trace["manipulator.swing_angle"] - goal)[out].max() * 4.2 < 0.020

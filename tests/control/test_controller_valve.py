@@ -112,38 +112,3 @@ def test_a_compensated_section_gets_the_command_for_its_flow(name, share):
         flow = number(ports[fed].edges.supply) - a.valve.leakage * (SUPPLY - load)
         # rounding of the curve where the valve opens
         assert flow == pytest.approx(abs(speed) * area, rel=1e-2 if abs(share) < 0.1 else 1e-3)
-
-
-@pytest.mark.parametrize("name", ["swing", "boom", "stick"])
-def test_measured_and_settled_pressures_say_the_same(name):
-    """At the pressures of a steady motion both forms agree to 1 %, because roots are rounded."""
-    a = drives()[name]
-    load = 0.2 * SUPPLY * a.rod_area
-    full = number(valve.nominal_full_speeds(a, load, SUPPLY)[0])
-    head = SUPPLY - (a.head_area * full / number(a.gain)) ** 2
-    rod = (a.rod_area * full / number(a.gain)) ** 2
-    assert a.head_area * head - a.rod_area * rod == pytest.approx(load, rel=0.01)
-    assert number(valve.full_speeds(a, head, rod, SUPPLY, 0.0)[0]) == pytest.approx(full, rel=0.01)
-
-
-@given(st.floats(1e5, 2e7), st.floats(1e5, 2e7), st.floats(-1e5, 1e5))
-def test_pressures_at_load_carry_the_load_with_the_same_oil(head, rod, load):
-    """Their force is the load, and the oil in both chambers, seen through a free piston, is the same."""
-    a = drives()["boom"]
-    new = [number(p) for p in valve.pressures_at_load(a, head, rod, load)]
-    assert a.head_area * new[0] - a.rod_area * new[1] == pytest.approx(load, abs=1e-3)  # N of 1e5: rounding
-
-    def level(h: float, r: float) -> float:
-        return h * a.head_capacitance / a.head_area + r * a.rod_capacitance / a.rod_area
-
-    assert level(*new) == pytest.approx(level(head, rod), rel=1e-12, abs=0)
-
-
-def test_numbers_out_of_reach_stay_finite():
-    """Pressures beyond the supply, no supply, an unreachable speed: a finite command within the range."""
-    a = drives()["boom"]
-    for head, rod, supply, speed in ((30e6, 0.0, 20e6, 5.0), (0.0, 30e6, 0.0, -5.0), (-1e5, -1e5, -1e5, 1.0)):
-        full = valve.full_speeds(a, head, rod, supply, 0.0)
-        opening = valve.limited(valve.opening_for(a, speed, full))
-        command = number(valve.command(a.valve, opening, FOOT))
-        assert 0 < abs(command) <= a.valve.full_command * (1 + 1e-6)

@@ -8,12 +8,9 @@ import pytest
 from kit import equations, shards
 from scipy.optimize import linear_sum_assignment
 
-from fmus.contract import quantities, symbolic
 from fmus.machine import parts
-from fmus.machine.one_block import HARVESTER
 from fmus.machine.poses import POSES
-from fmus.parameters import values
-from orchestrator import Trace, linearize, run
+from orchestrator import linearize, run
 from orchestrator.linear.modes import eigen
 
 MACHINES = {
@@ -28,7 +25,6 @@ MACHINES = {
     "all": parts.MACHINES["detailed"],
 }
 SPEEDS = (("swing", 0.3), ("boom", -0.1), ("stick", 0.2))
-COMMANDS = ("swing_command", "boom_command", "stick_command", "payload_mass")  # all that the operator gives
 SAME = 1e-6  # relative, what is promised of eigenvalues
 
 
@@ -54,11 +50,6 @@ def truth(linear, machine="lumped"):
 
 def told(linear):
     return ((i.name, v) for i, v in zip(linear.inputs, linear.u0, strict=True))
-
-
-def bare(group):
-    """Names without the component."""
-    return [n.name.rpartition(".")[2] for n in group]
 
 
 def matched(linear, a):
@@ -114,28 +105,6 @@ def test_a_steady_state_is_steady(found, machine, pose, speeds):
             assert x == speed
 
 
-def test_the_machine_as_one_block_has_the_jacobian_of_its_equations(fmu_dir):
-    """harvester.fmu, one FMU without wires, valves open: CasADi's Jacobian, and the parts' eigenvalues."""
-    given = dict(zip(COMMANDS, (2.0, 3.0, -2.0, 100.0), strict=True))
-    one = linearize(fmu_dir / "harvester.fmu", inputs=COMMANDS, set=given)
-    whole, numbers = symbolic(HARVESTER), values(HARVESTER)
-    x, u, y = (list(quantities(g)) for g in (HARVESTER.states, HARVESTER.inputs, HARVESTER.outputs))
-    at = dict(zip(bare(one.states), one.x0, strict=True))
-    rates = ca.jacobian(ca.vertcat(whole.dx, whole.y), ca.vertcat(whole.x, whole.u))
-    jacobian = ca.Function("J", [whole.x, whole.u, whole.p], [ca.densify(rates)])
-    every = jacobian([at[n] for n in x], [(numbers.u | given)[n] for n in u], list(numbers.p.values())).full()
-    columns = [x.index(n) for n in bare(one.states)], [len(x) + u.index(n) for n in COMMANDS]
-    rows = columns[0], [len(x) + y.index(n) for n in bare(one.outputs)]
-    wanted = (every[np.ix_(i, j)] for i in rows for j in columns)
-    for found, there in zip((one.a, one.b, one.c, one.d), wanted, strict=True):
-        assert there.any()
-        atol = 1e-12 * np.abs(there).max()  # products in another order, as above; sums of flows take a digit
-        np.testing.assert_allclose(found, there, rtol=1e-8, atol=atol)
-    several = linearize(fmu_dir / "harvester.ssp", inputs=COMMANDS, set=given)
-    order = [bare(one.states).index(n) for n in bare(several.states)]
-    matched(several, one.a[np.ix_(order, order)])
-
-
 def test_along_a_run_the_point_is_that_of_the_run(fmu_dir):
     """At 2.5 s of the work cycle states are those of the run, and eigenvalues the monolithic ones."""
     linear = linearize(fmu_dir / "harvester.ssp", time=2.5)
@@ -155,24 +124,3 @@ def test_a_load_sensing_supply_does_not_hunt(fmu_dir, speeds):
     assert min(m.damping for m in swinging) > 0.004  # of the boom on closed valves, with any supply
     (pump,) = (m for m in swinging if "pump" in m.name)  # measured: 92 to 97 Hz, 0.18 to 0.22
     assert pump.damping > 0.15
-
-
-def test_a_slower_load_sensing_line_damps_the_lifted_boom(fmu_dir):
-    """The supply follows the load late, so that a valve passes less oil while the load rises."""
-    found, lifted = [], {"steady": True, "speeds": {"boom": 0.1}, "swap": MACHINES["load_sensing"]}
-    for lag in (0.005, 0.02, 0.05):
-        linear = linearize(fmu_dir / "harvester.ssp", set={"supply.load_sensing_lag": lag}, **lifted)
-        found.append(min(m.damping for m in linear.modes if m.oscillates and "boom" in m.name))
-    assert found == sorted(found)  # measured: 0.09, 0.18, 0.35
-    assert found[-1] > 3 * found[0]
-
-
-def test_a_steady_machine_stays_where_it_is(fmu_dir):
-    """The commands of a steady state, held for 2 s from the start in the pose, move no joint."""
-    system = fmu_dir / "harvester.ssp"
-    linear = linearize(system, parameters=["raised"], steady=True)
-    held = Trace(np.array([0.0, 2.0]), {n: np.full(2, v) for n, v in told(linear)})
-    angles = [f"manipulator.{j}_angle" for j in ("swing", "boom", "stick")]
-    trace = run(system, held, parameters=["raised"], record=angles).trace
-    for name in angles:
-        assert np.ptp(trace[name]) < 1e-3  # rad; without the commands leakage lowers the boom by more

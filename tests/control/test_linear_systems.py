@@ -199,15 +199,6 @@ def test_inputs_that_an_operator_gives_are_inputs(fmus):
     assert both.startswith("--input m.pull and pull: expected inputs with different targets")
 
 
-@pytest.mark.parametrize("count", [4, 5])
-def test_eight_outputs_are_listed(fmus, count):
-    """With more the first eight, and their number."""
-    parts = {f"m{k}": fmus / "mass.fmu" for k in range(count)}
-    told = mistakes.problem(lambda: linearize(assemble(parts), outputs=["zz"]))
-    listed = ", ".join(f"m{k}.{n}" for k in range(4) for n in ("position", "speed"))
-    assert told.endswith(f"; there are {'' if count == 4 else '10 outputs, such as '}{listed}")
-
-
 def test_without_directional_derivatives_differences_do_and_a_note_says_so(fmus, tmp_path):
     """The same model, whose description does not offer derivatives, differs by the error of differences."""
     no_derivatives = (r"providesDirectionalDerivatives?", "needsNothing")

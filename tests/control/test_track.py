@@ -1,7 +1,6 @@
-"""The tip on its path: what is measured, what it is measured with, and what the command prints and draws."""
+"""The tip on its path: what is measured, what it is measured with, and what the command prints."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from kit.mistakes import refused, table
 
 from fmus.machine import path_following
 from fmus.machine.parts import MACHINES
-from fmus.machine.path_following import PathRun, differences, points, side_view, text, unwrapped
+from fmus.machine.path_following import PathRun, differences, points, text, unwrapped
 from fmus.manipulator import MANIPULATOR
 from orchestrator import Trace, load
 from orchestrator.__main__ import main
@@ -66,11 +65,6 @@ def test_places_are_those_of_the_manipulator():
         found = points(Trace(np.zeros(1), {n: np.array([y[n]]) for n in TIP}), TIP, "")[0]
         place = [y[n] for n in ("tip_x", "tip_y", "tip_height")]
         assert found == pytest.approx(place, abs=1e-12)  # rounding
-
-
-def test_table_tells_how_many_times_as_large_without_feedback():
-    """The last cell of the row without feedback is its largest error over that of the ride with feedback."""
-    assert [row[-1] for row in path_following.rows([made(0.01), made(0.07, False)])] == ["", "7.0"]
 
 
 # ---- the command
@@ -150,15 +144,6 @@ def test_a_speed_not_reached_and_a_load_not_carried_are_told(track, capsys):
     assert ": the supply pressure does not carry the load, from" in told
 
 
-def test_notes_stand_before_the_table(track, capsys):
-    """The command prints the note of a difference once, for both machines, above the head of the table."""
-    line = through("4,0,1", "4,0.1,1")
-    assert track(*line, "--no-compare", "--set", "manipulator.stick_length=3.0")[0] == 0
-    told = capsys.readouterr().out
-    assert told.count("note: controller.stick_length is 2.9 m") == 1
-    assert told.index("note: ") < told.index("largest [mm]")
-
-
 @table(__file__, "mistakes", "arguments, message")
 def test_mistakes_are_told_in_one_line(fmu_dir, tmp_path, capsys, arguments, message):
     """A mistake on the command line ends with status 2 and one line that names it."""
@@ -217,47 +202,3 @@ def test_a_machine_that_differs_from_the_controllers_is_noted(fmu_dir):
     assert "swing.line_capacitance is 0 m3/Pa (Capacitance C" in note
     both = longer.with_start({"controller.stick_length": 3.2, "controller.swing_valve_area": 3e-5})
     assert differences(both, NAMES) == []
-
-
-def test_numbers_in_other_units_are_not_compared(fmu_dir):
-    """A stick length without a unit may be in inches: no note."""
-    system = load(fmu_dir / "harvester_control.ssp").with_start({"manipulator.stick_length": 3.2})
-    part = system.components["manipulator"]
-    variables = part.interface.variables
-    bare = {**variables, "stick_length": replace(variables["stick_length"], unit=None)}
-    other = replace(part, interface=replace(part.interface, variables=bare))
-    assert differences(replace(system, components={**system.components, "manipulator": other}), NAMES) == []
-
-
-# ---- the figure
-
-SQUARE = np.array([[3, 0, 0], [4, 1, 0], [4, 1, 1], [3, 0, 1.0]])
-BENT = np.array([[3, 1, 2], [3, -1, 2], [5, 0, -1.0]])
-
-
-def test_views_keep_lengths():
-    """From above right and forward; an upright square has its sides, whatever its direction."""
-    assert path_following.top_view(BENT) == pytest.approx(np.array([[-1, 1, 0], [3, 3, 5]]))
-    view, name = side_view(SQUARE, NAMES.radius)
-    assert name == "along the ground [m]"
-    assert np.ptp(view(SQUARE), axis=1) == pytest.approx([np.sqrt(2), 1.0])  # rounding
-
-
-@pytest.mark.parametrize("path", [BENT, SQUARE[:2], SQUARE[1:3]], ids=["bent", "level", "upright"])
-def test_other_paths_are_seen_in_the_plane_of_the_arm(path):
-    """What bends on the ground, is level or straight up has radius and height as its side view."""
-    view, name = side_view(path, NAMES.radius)
-    assert name == "radius from the swing axis [m]"
-    assert view(path) == pytest.approx(np.stack([np.hypot(*path.T[:2]), path[:, 2]]))  # rounding
-
-
-def test_the_picture_has_equal_axes_and_plain_numbers():
-    """Both views have one scale, the error's ticks are numbers without exponents."""
-    figure = path_following.draw([made(0.3)], NAMES.radius)
-    figure.canvas.draw()
-    views, errors = figure.axes[:2], figure.axes[2]
-    assert [axes.get_aspect() for axes in views] == [1.0, 1.0]
-    ticks = [*errors.get_yticklabels(which="minor"), *errors.get_yticklabels()]
-    words = [label.get_text() for label in ticks if label.get_text()]
-    assert "50" in words
-    assert not [w for w in words if "e" in w]

@@ -116,25 +116,3 @@ def test_margin_is_zero_where_rocker_and_coupler_are_in_line():
     assert values(folded.margin(math.pi)) == pytest.approx([0.5 - 0.55], abs=1e-15)
     assert math.isfinite(at(drive, stretched + 1e-3)[0])
     assert math.isnan(at(drive, stretched - 1e-3)[0])
-
-
-def test_motor_turns_with_the_ratio_and_telescope_counts_from_closed():
-    """x of a motor is ratio times angle, of a telescope the coordinate beyond that of the closed cylinder."""
-    assert at(Motor(17.5), 0.2) == [17.5 * 0.2, 17.5, 0.0]
-    assert at(Telescope(0.4), 1.0) == [0.6, 1.0, 0.0]
-    assert at(Motor(), 0.2) == at(Telescope(), 0.2) == [0.2, 1.0, 0.0]
-
-
-@pytest.mark.parametrize("name", DRIVES)
-def test_rates_of_the_actuator_follow_a_motion_of_the_joint(name):
-    """x' = J q' and x'' = J q'' + J' q'^2 of q = q0 + w t + a t^2/2, by differences over time."""
-    q, w, a = 0.2, 0.7, -1.1
-
-    def moved(t):
-        return DRIVES[name].at(q + w * t + a * t**2 / 2), w + a * t
-
-    found = DRIVES[name].at(q)
-    # truncation and rounding as above
-    rates = slope(lambda t: np.array(values(moved(t)[0].position, moved(t)[0].velocity(moved(t)[1]))), 0.0)
-    assert values(found.velocity(w), found.acceleration(w, a)) == pytest.approx(rates, abs=1e-8)
-    assert values(found.effort(3e4)) == [3e4 * at(DRIVES[name], q)[1]]

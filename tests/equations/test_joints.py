@@ -17,7 +17,7 @@ from fmus.crane.manipulator import manipulator
 from fmus.joints import JointModel, Mechanics
 from fmus.manipulator.variables import ManipulatorInputs, ManipulatorState
 
-G, LENGTH, MASS, CART = 9.81, 0.8, 120.0, 300.0
+G, LENGTH, MASS = 9.81, 0.8, 120.0
 PENDULUM = entry(__file__, "pendulum")
 
 
@@ -61,22 +61,6 @@ def arm(joints, payload, **more):
     views = {"views": lambda *_: {}} | more
     model = Mechanics(joints, *groups, lambda _: (0, 0, -G), payload, **views)
     return Part(Subsystem(**model.declared, name="arm", text="An arm"))
-
-
-def test_an_arm_on_a_rail_is_the_cart_with_a_pendulum():
-    """(M + m) x'' + m l (cos(q) q'' - sin(q) q'^2) = F and l q'' + cos(q) x'' = -g sin(q), to rounding."""
-    cart = JointModel("cart", "cart_angle", lambda _: Link("cart", "prismatic", "x", mass=CART), motor=True)
-    rod = JointModel("rod", "rod_angle", lambda _: Link("rod", "revolute", "-y", parent=0))
-    own = arm((cart, rod), lambda m, _: Payload(1, (0, 0, -LENGTH), MASS + m))
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        q, w, force = rng.uniform(-2, 2), rng.uniform(-3, 3), rng.uniform(-1e3, 1e3)
-        x = own.start(rod_angle=q, rod_speed=w)
-        matrix = [[CART + MASS, MASS * LENGTH * np.cos(q)], [np.cos(q), LENGTH]]
-        right = [force + MASS * LENGTH * np.sin(q) * w**2, -G * np.sin(q)]
-        rates, _ = own(x, cart_torque=force)
-        found = [rates[own.at(f"{n}_speed")] for n in ("cart", "rod")]
-        np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-11)
 
 
 def universal(name, at, apart):

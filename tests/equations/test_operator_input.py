@@ -6,7 +6,6 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
-from fmpy import simulate_fmu
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.fmu import Fmu, driving
@@ -83,18 +82,6 @@ def test_the_fmu_plays_the_work_cycle(fmu_dir):
         found += [operator.step(1e-3, 5).get(*names) for _ in range(len(time) - 2)]
     # the clock adds up 42000 steps: 3e-11 s, at no more than 14 V/s
     np.testing.assert_allclose(found, np.hstack([commands[:-1], rates]), rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
-def test_any_master_gets_the_same_commands(fmu_dir, kind):
-    """In co-simulation and model exchange the clock starts with the run, at any start time."""
-    span = {"start_time": 5.0, "stop_time": 12.0, "output_interval": 0.01}
-    path = str(fmu_dir / "operator_input.fmu")
-    rows = simulate_fmu(path, fmi_type=kind, output=["boom_command"], **span)
-    time, commands = sampled(work_cycle.WORK_CYCLE, work_cycle.WORK_CYCLE_STOP)
-    expected = np.interp(rows["time"] - 5.0, time, commands[:, AXES.index("boom")])
-    # CVode integrates dclock/dt = 1 to its tolerance of 1e-6 or better; at no more than 11 V/s
-    np.testing.assert_allclose(rows["boom_command"], expected, rtol=0, atol=1e-4)
 
 
 def test_every_corner_is_a_time_event(fmu_dir, fmi3_dir):

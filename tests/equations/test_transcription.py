@@ -1,20 +1,16 @@
 """The project's monolith and a second, independent writing of docs/equations.md are the same machine."""
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 from equations import transcription
-from kit import shards
 from kit.equations import EDGES, JOINTS, random_curve
-from kit.work_cycle import REFERENCE as TRACE
 
 from fmus.machine.parts import FERIC
 from fmus.machine.poses import pose_grid
-from fmus.monolith import join, simulate
+from fmus.monolith import join
 
-DATA = Path(__file__).parents[2] / "data"
 # parameters that are zero by choice get a size here, so that a wrong term with them shows
 SIZE_OF_ZEROS = {"swing.line_turbulent_resistance": 1e10, "manipulator.swing_stop_angle": 2.0}
 # zeros that stand for what length and bore lead to, and measured numbers in their place
@@ -26,7 +22,6 @@ HOSES = {
 }
 PRESSURES = ("supply_pressure", "tank_pressure")
 INPUTS = (*(f"{joint}_command" for joint in JOINTS), *PRESSURES, "payload_mass", "oil_temperature")
-STRIDE = 4  # the reference trace keeps every fourth sample
 
 
 @pytest.fixture(scope="module")
@@ -115,70 +110,3 @@ def test_consistent_start_agrees(model):
         ours = transcription.start(transcription.Machine(table), angles, tank, held)
         # exact identity: rounding only, up to 1e3 of it where the holding force crosses zero
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)
-
-
-@pytest.fixture(scope="module", params=[2.6, pytest.param(42.0, marks=shards.machine)])
-def scenario(request):
-    """Time (n,) and the three commands (n, 3) of the work cycle; by 2.6 s all axes move."""
-    path = DATA / "scenarios" / "work_cycle.csv"
-    table = np.genfromtxt(path, delimiter=",", names=True)
-    table = table[table["time"] <= request.param]
-    return table["time"], np.column_stack([table[f"{name}_command"] for name in ("swing", "boom", "stick")])
-
-
-@pytest.fixture(scope="module")
-def trajectory(scenario):
-    """States (n, 20) of the transcription over the work cycle."""
-    return transcription.simulate(*scenario)
-
-
-def test_trajectories_agree_over_the_work_cycle(model, scenario, trajectory):
-    """Each state follows the same path in both writings, within 1e-7 of its range."""
-    time, commands = scenario
-    inputs = np.column_stack([commands, np.tile(model.u[3:], (len(time), 1))])
-    states, _ = simulate(model, time, inputs, tolerance=1e-12)
-    agree(model, states, trajectory)
-
-
-@pytest.mark.parametrize("duration", [1.2, pytest.param(5.0, marks=shards.machine)])
-def test_trajectories_agree_while_stems_are_taken_up_and_dropped(model, duration):
-    """The moving arm takes up 300 kg, slews, lifts and drops them: both writings follow the same path."""
-    time = np.arange(round(200 * duration) + 1) / 200
-    share = time / duration
-    lever = np.interp(share, [0.0, 0.1, 0.2, 0.5, 0.7], [0.0, 0.0, 1.0, 1.0, 0.0])
-    commands = lever[:, None] * [3.6, 3.6, 2.4]
-    loads = np.interp(time, np.array([0.2, 0.2, 0.7, 0.7]) * duration + [0, 5e-3, 0, 5e-3], [0, 300, 300, 0])
-    rest = np.tile(model.u[3:5], (len(time), 1))
-    warm = np.full(len(time), model.u[6])
-    states, _ = simulate(model, time, np.column_stack([commands, rest, loads, warm]), tolerance=1e-12)
-    held = states[:, transcription.STATES.index("manipulator.held_mass")]
-    assert held.max() > 200.0 > held[-1]  # kg: taken up, and dropped again
-    # by 1e-12 in place of 1e-13 the stiff lines of the swing are off by 1.2e-7 of their range
-    agree(model, states, transcription.simulate(time, commands, loads, tolerance=1e-13))
-
-
-def agree(model, ours, theirs):
-    """Both are within 1e-7 of the range of each state; without a payload the held mass stays zero."""
-    moving = np.ptp(theirs, axis=0) > 0
-    assert not ours[:, ~moving].any()
-    error = np.abs(ours - theirs).max(axis=0)[moving] / np.ptp(theirs, axis=0)[moving]
-    names = np.array(model.states)[moving]
-    # integrator error: measured 2.2e-8 and less
-    assert error.max() < 1e-7, f"{names[error.argmax()]} differs by {error.max():.2g} of its range"
-
-
-def test_reference_trace_is_this_trajectory(model, scenario, trajectory):
-    """The shipped reference trace of the work cycle holds states and outputs of the transcription."""
-    machine, constant = transcription.Machine(transcription.numbers()), model.u[3:].tolist()
-    states, commands = trajectory[::STRIDE], scenario[1][::STRIDE]
-    rows = [
-        transcription.observe(machine, x.tolist(), [*u.tolist(), *constant])
-        for x, u in zip(states, commands, strict=True)
-    ]
-    ours = dict(zip(transcription.STATES, states.T, strict=True))
-    ours |= {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    for name, expected in ours.items():
-        # integrator error 2e-8 of range at the trace's tolerance of 1e-11, and its nine digits, in rates of
-        # stiff hoses ten times as much; a void of 1e-20 m3 is none
-        most = (1e-7 if name in transcription.STATES else 1e-6) * np.ptp(TRACE[name]) + 1e-20
-        assert np.abs(TRACE[name][: len(expected)] - expected).max() <= most, name

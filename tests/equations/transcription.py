@@ -13,11 +13,8 @@ from pathlib import Path
 from types import SimpleNamespace as Group  # the parameters of one part by name
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.integrate import ode
 from scipy.interpolate import PchipInterpolator
 
-Array = NDArray[np.float64]
 Floats = Sequence[float]
 Port = tuple[float, float, float]  # pressure [Pa] of a port node, flows [m3/s] of its supply and tank edge
 
@@ -402,35 +399,3 @@ def start(m: Machine, angles: Floats, tank: float, held: float = 0.0) -> list[fl
         p_r = preload + (-force + sqrt(force**2 + (0.1 * preload * a_r) ** 2)) / 2 / a_r
         x += [(force + a_r * p_r) / a_h, p_r, 0.0, 0.0]
     return [*x, *angles, 0.0, 0.0, 0.0, held, 0.0]
-
-
-def simulate(time: Array, commands: Array, loads: Array | None = None, tolerance: float = 1e-12) -> Array:
-    """States (n, 20) at `time` (n,) for commands (n, 3) [V], linear between the samples.
-
-    VODE's BDF with a difference Jacobian, started anew at each kink of the commands. `loads`: payload [kg] at
-    the samples (n,), linear between them, zero by default. `tolerance` is relative, and absolute times each
-    state's nominal value.
-    """
-    table, given = numbers(), numbers("start")
-    m = Machine(table, given["swing.oil_temperature"])
-    angles = [table[f"manipulator.initial_{joint}_angle"] for joint in ("swing", "boom", "stick")]
-    pressures = given["swing.supply_pressure"], given["swing.tank_pressure"]
-    driven = np.column_stack([commands, np.zeros(len(time)) if loads is None else loads])
-    states = np.empty((len(time), len(STATES)))
-    states[0] = start(m, angles, pressures[1])
-    slope = np.diff(driven, axis=0) / np.diff(time)[:, None]
-    kinks = np.flatnonzero(np.abs(np.diff(slope, axis=0)).max(axis=1) > 1e-6) + 1
-    for first, last in zip([0, *kinks], [*kinks, len(time) - 1], strict=True):
-        chord = (driven[last] - driven[first]) / (time[last] - time[first])
-        lines = list(zip(driven[first].tolist(), chord.tolist(), strict=True))
-
-        def rates(t: float, x: Array, t0: float = time[first], lines: list = lines) -> list[float]:
-            *volts, load = (u + du * (t - t0) for u, du in lines)
-            return evaluate(m, x.tolist(), [*volts, *pressures, load])[0]
-
-        settings = {"method": "bdf", "with_jacobian": True, "nsteps": 1_000_000}
-        solver = ode(rates).set_integrator("vode", rtol=tolerance, atol=tolerance * NOMINAL, **settings)
-        solver.set_initial_value(states[first], time[first])
-        for n in range(first + 1, last + 1):
-            states[n] = solver.integrate(time[n])
-    return states

@@ -186,22 +186,3 @@ def test_the_limits_of_the_tolerance_are_allowed(fmu, tolerance):
     given = reference(fmu("room", 2), tolerance=tolerance, **options)
     default = reference(fmu("room", 2), **options)
     assert (given["room2.T"].tolist() == default["room2.T"].tolist()) == (tolerance == 2e-14)
-
-
-def test_the_progress_is_that_of_the_time_after_the_start(fmu, monkeypatch):
-    """Of 2 s from 1 s to 3 s."""
-    shown = []
-
-    class Bar(ProgressBar):
-        def __init__(self, total, enabled):
-            super().__init__(total, enabled)
-            shown.append(total)
-
-        def update(self, simulated):
-            shown.append(simulated)
-
-    monkeypatch.setattr(module, "ProgressBar", Bar)
-    reference(fmu("room", 2), start=1.0, stop=3.0, record_step=0.5, set={"room2.T": 1.0})
-    total, *done = shown
-    assert (total, done[0]) == (2.0, 0.0)
-    assert 1.0 < max(done) <= 2.0

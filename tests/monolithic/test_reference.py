@@ -148,24 +148,6 @@ def test_an_option_out_of_range_is_refused(fmu, options, message):
 # ---- the machine
 
 
-def test_the_machine_in_parts_is_the_machine_in_one_block(fmu_dir, fmi3_dir):
-    """Five FMUs joined by their connections, in FMI 2.0 and 3.0, against the FMU with all equations."""
-    options = {"stop": 1.0, "record_step": 0.01}  # the strokes begin at 0.5 s
-    whole = reference(fmu_dir / "harvester.fmu", monolithic.STROKES, **options)
-    for folder in (fmu_dir, fmi3_dir):
-        parts = reference(folder / "harvester.ssp", monolithic.STROKES, **options)
-        bare = [n.rpartition(".")[2] for n in parts.trace.signals]
-        names = dict(zip(bare, parts.trace.signals, strict=True))
-        # of a name in several parts, such as an energy, the whole has the sum
-        common = [n for n in names if f"harvester.{n}" in whole.trace.signals and bare.count(n) == 1]
-        assert len(common) > 40
-        for n in common:
-            found, expected = parts[names[n]], whole[f"harvester.{n}"]
-            if np.ptp(expected) > 1e-6 * np.abs(expected).max():
-                # the same equations, other rounding and other steps: measured 1.2e-10 of the range
-                assert np.abs(found - expected).max() < 1e-9 * np.ptp(expected), n
-
-
 OTHERS = {"boom_stick": "quasistatic", "manipulator": "friction", "supply": "engine_pump"}
 
 

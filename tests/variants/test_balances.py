@@ -2,16 +2,13 @@
 
 from dataclasses import is_dataclass, replace
 from functools import cache
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
-from equations import transcription
-from equations.circuits_transcription import air
 from kit.cranes import machine
 from kit.drives import closing_balance, ports, random_point
-from kit.equations import Part, cavity, piston_areas
+from kit.equations import Part
 
 from fmus import boom_stick, swing
 from fmus.contract import Subsystem, family, quantities, symbols
@@ -24,7 +21,7 @@ from fmus.drives.lumped import LUMPED
 from fmus.drives.motor import MOTOR
 from fmus.drives.quasistatic import QUASISTATIC
 from fmus.machine.parts import FAMILIES
-from fmus.parameters import numbers, values
+from fmus.parameters import numbers
 
 PARTS = ("swing", "boom_stick")
 PORTS = ("boom_head_pressure", "boom_rod_pressure")
@@ -158,43 +155,6 @@ def test_rates_are_exact_and_forces_depend_on_states_alone(name):
             assert shown == pytest.approx(exact, **room), moved
 
 
-@pytest.mark.parametrize("name", [n for n in DRIVES if n.endswith(("lumped", "quasistatic", "compensated"))])
-def test_oil_is_neither_made_nor_lost(name):
-    """What the supply gives and the tank does not get is compressed, in cavities, or swept by the piston."""
-    part, rng = drive(name), np.random.default_rng(6)
-    for x, u in (random_point(part, rng) for _ in range(100)):
-        p = vars(transcription.warmed(SimpleNamespace(**part.p), u["oil_temperature"]))
-        dx, y = part(x, **u)
-        state, rate = (dict(zip(part.states, column, strict=True)) for column in (x, dx))
-        capacitance, swept, aerated = {}, [], {}
-        if part.sub.part == "swing":
-            capacitance = {f"swing_pressure_{line}": p["line_capacitance"] for line in ("a", "b")}
-            inside = np.pi / 4 * p["line_bore"] ** 2 * p["line_length"] + p["motor_volume"]
-            aerated = dict.fromkeys(capacitance, inside)
-        else:
-            for a in ("boom", "stick"):
-                head, rod = piston_areas(p, a)
-                at, dead = u[f"{a}_position"], p[f"{a}_dead_volume"]
-                volumes = {"head": dead + head * at, "rod": dead + rod * (p[f"{a}_stroke"] - at)}
-                for side, volume in volumes.items():
-                    # a compensated hose is a node of its own, before the counterbalance valve
-                    chamber, hose = f"{a}_{side}_pressure", f"{a}_{side}_valve_pressure"
-                    own = hose in state
-                    hose = hose if own else chamber
-                    capacitance[chamber] = volume / p["bulk_modulus"]
-                    capacitance[hose] = capacitance.get(hose, 0.0) + p[f"{a}_hose_capacitance"]
-                    inside = np.pi / 4 * p[f"{a}_hose_bore"] ** 2 * p[f"{a}_hose_length"]
-                    aerated |= {chamber: volume, hose: inside} if own else {}
-                swept.append((head - rod) * u[f"{a}_velocity"])
-        if "air_share" in p:
-            for n, volume in aerated.items():
-                capacitance[n] += volume * air(SimpleNamespace(**p), state[n])
-        filled = [(c + cavity(state[n])) * rate[n] for n, c in capacitance.items()]
-        terms = [y["supply_flow"], -y["return_flow"], *(-q for q in (*filled, *swept))]
-        # exact identity; rounding of the largest term, which a cavity makes large
-        assert sum(terms) == pytest.approx(0, abs=1e-11 * sum(map(abs, terms)))
-
-
 @pytest.mark.parametrize("variant", CRANES)
 def test_the_variables_of_own_axes_have_the_name_of_their_axis(variant):
     """Common ones have none, those of an own valve that of its axis; no name stands for two variables."""
@@ -212,12 +172,3 @@ def test_the_variables_of_own_axes_have_the_name_of_their_axis(variant):
     assert {"supply_pressure", "lift_command", "grab_velocity", "slew_speed"} <= set(u)
     assert {"lift_head_pressure", "grab_rod_pressure", "slew_pressure_a"} <= set(x)
     assert {"crane_load_pressure", "supply_flow", "slew_torque", "grab_force_rate"} <= set(y)
-
-
-@pytest.mark.parametrize(("variant", "least"), [("detailed", 20), ("compensated", 12)])
-def test_both_drives_read_the_shared_numbers_of_their_machine(variant, least):
-    """Oil, spools, valves and compensators are the same machine's: swing and boom_stick agree."""
-    one, other = (values(FAMILIES[part][variant]).p for part in PARTS)
-    shared = set(one) & set(other) - {"initial_preload"}
-    assert len(shared) > least
-    assert {n: one[n] for n in shared} == {n: other[n] for n in shared}

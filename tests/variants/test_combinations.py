@@ -1,17 +1,14 @@
 """The registry and what it prints; every combination of variants in the machine; Python FMUs among them."""
 
 import itertools
-import shutil
 from pathlib import Path
 
 import pytest
 from kit import shards
-from kit.any_fmu.edit import edited
 from kit.scripts import names_of
 
 from fmus.machine.parts import FAMILIES
 from fmus.machine.tables import variant_names
-from orchestrator import load
 from orchestrator.__main__ import main
 from orchestrator.base import files
 
@@ -51,20 +48,6 @@ def test_variants_are_listed_before_anything_is_built(tmp_path, monkeypatch, cap
     monkeypatch.setattr(files, "CHECKOUT", tmp_path)
     assert main(["variants", "--cost"]) == 2
     assert "harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
-
-
-def test_a_combination_that_does_not_start_is_a_row(fmu_dir, tmp_path):
-    """The others run all the same."""
-    for file in (fmu_dir / "harvester.ssp", *(fmu_dir / "variants").glob("swing_*.fmu")):
-        target = tmp_path / file.relative_to(fmu_dir)
-        target.parent.mkdir(exist_ok=True)
-        shutil.copy(file, target)
-    quasistatic, old = (tmp_path / "variants" / f"swing_{name}.fmu" for name in ("quasistatic", "old"))
-    edited(quasistatic, old, ('guid="[^"]*"', 'guid="{0}"'))
-    one = {"swing": ["old", "lumped"]}
-    old, usual = combinations(load(tmp_path / "harvester.ssp"), one, WATCH, step=1e-3, stop=0.1)
-    assert "GUID" in old.failure
-    assert (old.reached, usual.failure, usual.reached) == (0.0, "", pytest.approx(0.1))
 
 
 @pytest.mark.parametrize("chosen", SOME, ids=lambda c: "-".join(c.values()))

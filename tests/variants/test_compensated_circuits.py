@@ -1,4 +1,4 @@
-"""Closed forms of the compensated drives, through their FMUs.
+"""Sharing of the flow and brake of the compensated drives, through their FMUs.
 
 The formulas below are written out here, with the numbers of parameters.toml. Pistons move as a load does that
 holds its pressure: the test bench gives the velocity that keeps a chamber at the wanted pressure.
@@ -17,7 +17,6 @@ from fmus.parameters import values
 
 P, S = (values(FAMILIES[part]["compensated"]).p for part in ("boom_stick", "swing"))
 STEP, GAIN = 1e-3, 2e-11  # s, m3/(s.Pa) of the test bench
-LOADS = np.array([20e5, 60e5, 100e5, 140e5, 180e5])
 START = {"boom_holding_force": 5e4, "supply_pressure": SUPPLY}
 HEAD = piston_areas(P, "boom")[0]
 
@@ -45,32 +44,6 @@ def step_under_load(fmu, load):
     pressure, flow = fmu.get("boom_head_pressure", "boom_head_flow")
     fmu.set(boom_velocity=(flow + GAIN * (pressure - load)) / HEAD)
     fmu.step(STEP)
-
-
-def flow_at(fmus, load, command):
-    """Meter-in flow and port pressure in steady motion against a load."""
-    with driving(fmus["boom_stick"], boom_command=command, **START) as fmu:
-        for _ in range(1500):
-            step_under_load(fmu, load)
-        names = ("meter_in_flow", "head_valve_pressure", "head_pressure", "rod_valve_pressure")
-        return fmu.get(*(f"boom_{n}" for n in names))
-
-
-def test_the_flow_of_a_section_does_not_depend_on_the_load(fmus):
-    """From 20 to 180 bar of load: the law of the compensator to 0.5 %, and less than 2 % of change."""
-    found = np.array([flow_at(fmus, load, 6.0) for load in LOADS])
-    assert found[:, 2] == pytest.approx(LOADS, rel=1e-3)  # the bench holds the load; proportional control
-    port, other = found[:, (1, 3)].T
-    flow = P["boom_section_flow"] * opening(6.0) * np.sqrt(regulated(port) / P["compensator_setting"])
-    full_area = P["boom_section_flow"] / (0.62 * np.sqrt(2 * P["compensator_setting"] / P["density"]))
-    area = full_area * opening(6.0)
-    laminar = P["valve_transition_reynolds"] * P["viscosity"] / P["density"] * np.sqrt(np.pi * area) / 2
-    flow = np.hypot(flow, laminar / 2) - laminar / 2  # Q (Q + Q_t) = flow^2
-    stated = flow + P["valve_leakage"] * (2 * SUPPLY - port - other - 1e4)  # of both edges
-    # the bar is 0.5 %; what is left is the rounding of the compensator's minimum, and the solver
-    assert found[:, 0] == pytest.approx(stated, rel=5e-5)
-    assert 1 - found[:, 0].min() / found[:, 0].max() < 0.02
-    assert np.all(np.diff(found[:, 0]) < 0)  # the droop of the spring: it damps
 
 
 def test_saturated_sections_of_both_drives_share_the_flow_in_the_ratio_of_their_openings(fmus):
@@ -108,20 +81,6 @@ def test_saturated_sections_of_both_drives_share_the_flow_in_the_ratio_of_their_
     assert np.array(drops) / droop == pytest.approx(np.full(2, shared), rel=5e-3)
 
 
-def test_crossover_reliefs_limit_the_torque(fmus):
-    """The locked motor turned from outside: P_b - P_a = P_r + w/2 + Q/g with the flow that leaks nowhere."""
-    speed = 0.4
-    with driving(fmus["swing"], swing_speed=speed, supply_pressure=0.0) as fmu:
-        fmu.step(STEP, 500)
-        a, b = fmu.get("swing_pressure_a", "swing_pressure_b")
-    displaced = speed * S["motor_displacement"] * S["gear_ratio"]
-    leaking = (b - a) / S["internal_leakage_resistance"] + b / S["external_leakage_resistance"]
-    crossing = displaced - leaking - S["valve_leakage"] * b
-    expected = S["relief_pressure"] + S["relief_rounding"] / 2 + crossing / S["relief_gain"]
-    assert b - a == pytest.approx(expected, rel=5e-3)
-    assert -5e3 < a < 0  # made up from the return line
-
-
 def test_the_brake_holds_and_does_not_creep(fmus):
     """95 % of its torque for half a minute: twisted by T/k, without drift, the oil's share leaked away.
 
@@ -143,19 +102,3 @@ def test_the_brake_holds_and_does_not_creep(fmus):
     assert held == pytest.approx(torque, rel=5e-3)
     assert shown[-1] == pytest.approx(torque / S["brake_stiffness"], rel=5e-3)
     assert abs(shown[-1] - shown[0]) < 1e-9  # rad in 10 s; what the oil still leaks is gone after seconds
-
-
-def test_the_brake_waits_for_command_and_pressure(fmus):
-    """Applied in neutral; released by a command within five time constants, but not without pressure."""
-
-    def applied(command, supply, time):
-        with driving(fmus["swing"], swing_command=0.0, supply_pressure=supply) as fmu:
-            assert fmu["swing_brake_applied"] == 1.0
-            fmu.set(swing_command=command)
-            fmu.step(STEP, round(time / STEP))
-            return fmu["swing_brake_applied"]
-
-    assert applied(0.3, 2e6, 1.0) == 1.0
-    # exp(-5); the FMU's solver has a tolerance of 1e-6
-    assert applied(1.0, 2e6, 5 * S["brake_release_time"]) == pytest.approx(math.exp(-5), rel=1e-3)
-    assert applied(10.0, 0.5e6, 1.0) == 1.0

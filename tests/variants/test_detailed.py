@@ -1,4 +1,4 @@
-"""The detailed drives: rest, and the limit in which they are the lumped ones. Balances: test_balances.py."""
+"""The detailed drives: the limit in which they are the lumped ones. Balances: test_balances.py."""
 
 import math
 from functools import cache
@@ -21,29 +21,6 @@ def part_of(sub, **numbers):
     part = Part(sub, **numbers)
     part.u |= {n: force for n, force in HELD.items() if n in part.u}
     return part
-
-
-@pytest.mark.parametrize(
-    "sub",
-    [swing.variants(lumps=3)["detailed"], boom_stick.variants(lumps={"boom": 1, "stick": 3})["detailed"]],
-)
-def test_started_at_rest_only_leakage_moves(sub):
-    """Command zero, piston standing: after 1 s no chamber has changed by more than leakage explains."""
-    part = part_of(sub)
-    shown = part.follow(np.linspace(0, 1.0, 11))
-    if sub.part == "swing":
-        assert np.abs(shown["swing_torque"]).max() < 1e-3  # N.m: both sides alike; the integrator's 1e-9
-    else:
-        force = shown["boom_force"]
-        # two edges leak 2 G P_s t into 2.6 L at a compliance of 1/beta, on areas of 0.011 m2 and 0.007 m2
-        p = part.p
-        risen = 2 * p["valve_leakage"] * part.u["supply_pressure"] / 2.6e-3 * p["bulk_modulus"]
-        assert force[0] == pytest.approx(5e4, rel=1e-12)
-        assert np.abs(force - force[0]).max() < risen * 0.018
-    for name in (n for n in shown if n.endswith("spool_position")):
-        assert np.abs(shown[name]).max() < 1e-12  # share of the stroke; the integrator's rounding
-    flows = [v for n, v in shown.items() if "valve_flow" in n or "swing_flow" in n]
-    assert max(np.abs(q).max() for q in flows) < 1e-6  # m3/s: the leakage of an edge is 3e-7
 
 
 def test_the_spool_starts_where_its_command_wants_it():

@@ -80,15 +80,6 @@ def test_a_stalled_engine_stays_stalled(bench, rows, rated):
         assert speed[-1] > IDLE  # on its way back; 60 N.m take longer than 6 s
 
 
-def test_the_weak_engine_stalls_and_the_strong_one_does_not():
-    """What the last test draws has both: three functions at once, on 60, 120 and 433 N.m."""
-    for bench in BENCHES:
-        for rated, runs in ((60.0, False), (120.0, False), (433.0, True)):
-            p = bench.constants(engine_rated_torque=rated)
-            _, y = bench.through([Load(400 * L_MIN / 1e3, 1.6e7)], p, 3.0, 2)
-            assert (y["engine_speed"][-1] > STALL) == runs, (bench.sub.variant, rated)
-
-
 @pytest.mark.parametrize(("limit", "runs"), [(385.0, False), (250.0, True), (100.0, True)])
 def test_a_torque_limit_keeps_a_weak_engine_from_stalling(limit, runs):
     """250 N.m, 312 at 1500 rpm: less than 385 and the friction of the pump, more than 250 with it."""

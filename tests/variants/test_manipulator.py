@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
-from kit.equations import JOINTS, Part, machine, played
+from kit.equations import Part, machine, played
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
-from fmus.components.friction import CREEP, Bristles, lugre, viscous
+from fmus.components.friction import CREEP, Bristles, lugre
 from fmus.machine.poses import pose_grid
 from fmus.manipulator import VARIANTS
-from fmus.manipulator.pendulum import SIDE_LIMIT, STOP_ROUNDING
+from fmus.manipulator.pendulum import SIDE_LIMIT
 from fmus.parameters import values
 
 HEADS = ("pendulum", "pendulum_friction")
@@ -102,15 +102,6 @@ def test_arm_rests_under_the_holding_forces(name):
             assert force == pytest.approx(usual[a.replace("_force", "_holding_force")], rel=1e-12)
 
 
-@variants
-def test_only_accelerations_and_joint_torques_follow_the_forces_at_once(name):
-    """Positions, speeds, friction, energies and heat depend on states alone."""
-    v = variant(name)
-    direct = {n for n, y in v.expressions["y"].items() if ca.depends_on(y, v.model.u)}
-    accelerations = {f"{a}_acceleration" for a in JOINTS}
-    assert direct == accelerations | {"boom_torque", "stick_torque"}
-
-
 @heads
 def test_damping_of_the_head_is_the_ratio_that_its_note_says(name):
     """With the arm held, both axes have sqrt(m g L / (J + m L^2)) [rad/s] and a tenth of critical damping."""
@@ -160,22 +151,6 @@ def test_thrown_head_comes_back_from_its_stop_as_the_law_of_contact_says(speed):
     assert 0.5 * abs(speed) < expected < abs(speed)
     assert back == pytest.approx(expected, rel=1e-6)  # the arm, 1e12 kg.m2, gives way by 1e-7
     assert np.abs(run.y[i]).max() < 1.3
-
-
-@heads
-def test_stops_of_the_head_are_not_felt_inside(name):
-    """Up to the stop no torque, no energy; beyond it both, the torque back to the plane of the arm."""
-    v = variant(name)
-    stop = v.p["head_stop_angle"]
-    for angle in (0.0, stop, -stop):
-        _, y = v(v.start(head_side_angle=angle, head_side_speed=3.0))
-        assert (y["head_stop_torque"], y["stored_energy"]) == (0.0, 0.0)
-    for angle in (stop + 0.05, -stop - 0.05):
-        _, y = v(v.start(head_side_angle=angle))
-        # k m_w(1) (d - w/2): a straight line beyond the rounding
-        expected = v.p["head_stop_stiffness"] * rounded(1.0) * (0.05 - STOP_ROUNDING / 2)
-        assert y["head_stop_torque"] == pytest.approx(-math.copysign(expected, angle), rel=1e-12)
-        assert y["stored_energy"] > 0
 
 
 @pytest.mark.parametrize("hold", [1.1, pytest.param(2.1, marks=shards.machine)])
@@ -230,46 +205,6 @@ def test_steady_slip_follows_the_stribeck_curve(v):
     assert r.heat == pytest.approx(r.force * v, rel=1e-5)  # all of the power
 
 
-def pulled(top, seconds=2.0, mass=500.0):
-    """Displacement [m] and forces [N] over time of a mass that a growing force up to `top` pulls."""
-
-    def rates(t, x):
-        r = lugre(x[1], x[2], DRY_PISTON, 0.0)
-        return [x[1], (top * min(t / seconds, 1.0) - r.force) / mass, r.deflection_rate]
-
-    options = {"max_step": 0.01, "rtol": 1e-7, "atol": 1e-10}
-    run = solve_ivp(rates, (0, 1.5 * seconds), [0.0, 0.0, 0.0], "Radau", **options)
-    return run.y[0], top * np.minimum(run.t / seconds, 1.0)
-
-
-def test_mass_breaks_away_at_the_static_friction():
-    """Below r Fc it moves by the deflection of the bristles, above it slides away."""
-    static = DRY_PISTON.static_ratio * DRY_PISTON.coulomb
-    place, _ = pulled(0.95 * static)
-    assert place.max() < 10 * DRY_PISTON.deflection
-    place, force = pulled(1.2 * static)
-    away = force[np.argmax(place > 20 * DRY_PISTON.deflection)]
-    assert away == pytest.approx(static, rel=0.03)  # plus what the ramp adds while it gathers speed
-    assert place[-1] > 0.1
-
-
-def test_small_motions_are_elastic_and_lose_energy_in_a_loop():
-    """Below break-away the stiffness is s0 = Fc / d, the mean force is zero, and a loop makes heat."""
-    amplitude, w = 0.3 * DRY_PISTON.deflection, 1.0
-    run = solve_ivp(
-        lambda t, z: [lugre(amplitude * w * math.cos(w * t), z[0], DRY_PISTON, 0.0).deflection_rate],
-        (0, 6 * math.pi), [0.0], "Radau", rtol=1e-9, atol=1e-14, dense_output=True,
-    )  # fmt: skip
-    t = np.linspace(4 * math.pi, 6 * math.pi, 2001)
-    v = amplitude * w * np.cos(w * t)
-    force = np.array([lugre(a, b, DRY_PISTON, 0.0).force for a, b in zip(v, run.sol(t)[0], strict=True)])
-    lost = np.trapezoid(force * v, t)
-    stiffness = np.ptp(force) / (2 * amplitude)
-    # softened by slip, of the order of amplitude / (2 r d), and the bristles' damping T w = 1 %
-    assert stiffness == pytest.approx(DRY_PISTON.coulomb / DRY_PISTON.deflection, rel=0.15)
-    assert 0 < lost < math.pi / 4 * np.ptp(force) * 2 * amplitude * 0.3  # a slim loop
-
-
 @given(dry=laws, v=speeds, z=deflections, b=st.floats(0.0, 1e5))
 def test_power_into_friction_is_stored_or_heat_for_any_numbers(dry, v, z, b):
     """F v = d(stored)/dt + heat, both >= 0, at any state: no program of speeds gets work out of bristles."""
@@ -297,16 +232,6 @@ def test_deflection_stays_below_break_away(v, z):
     assert lugre(v, z, DRY_PISTON, 0.0).deflection_rate * z <= 0
 
 
-@given(v=speeds, z=deflections)
-def test_without_coulomb_friction_it_is_viscous(v, z):
-    """Fc = 0 leaves b v alone, exactly, and the difference grows in proportion to Fc."""
-    laws = [Bristles(f, 1.4, 0.005, 1e-4, 0.01) for f in (0.0, 1.0, 2.0)]
-    none, one, two = (lugre(v, z, law, 2e4) for law in laws)
-    assert (none.force, none.heat, none.stored) == (viscous(v, 2e4).force, viscous(v, 2e4).heat, 0.0)
-    # exact identity; rounding of the viscous force, up to 2e4 N
-    assert two.force - none.force == pytest.approx(2 * (one.force - none.force), abs=1e-10)
-
-
 def test_creep_of_a_held_contact_is_the_rounding_speed():
     """Under half its break-away force a contact creeps at CREEP vs times 0.58: micrometres a second."""
     load, ratio = 0.5, DRY_PISTON.static_ratio
@@ -330,21 +255,3 @@ def test_variant_without_coulomb_friction_is_the_one_without_bristles(name):
         # exact identity, rounding only
         np.testing.assert_allclose(dx[shared], dx0, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose([y[n] for n in y0], list(y0.values()), rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.parametrize(("extra", "moves"), [(1500.0, False), (8000.0, True)])
-def test_dry_friction_holds_the_arm_against_a_small_push(extra, moves):
-    """Of 1.5 kN too much on the boom cylinder dry friction lets nothing move, of 8 kN much."""
-    ends = {}
-    for name in ("rigid", "friction"):
-        v = variant(name)
-        push = {"boom_force": v.u["boom_force"] + extra}
-
-        def rate(_, x, v=v, push=push):
-            return v(x, **push)[0]
-
-        run = solve_ivp(rate, (0, 1.0), v.start(), "Radau", rtol=1e-7, atol=1e-9)
-        ends[name] = v(run.y[:, -1], **push)[1]["boom_position"] - v(v.start())[1]["boom_position"]
-    assert ends["rigid"] > 5e-3
-    assert (ends["friction"] > 5e-3) == moves
-    assert moves or abs(ends["friction"]) < 10 * P["piston_presliding"]

@@ -104,19 +104,6 @@ def test_steady_cylinder_speed_has_the_closed_form_of_the_lumped_drive(name, com
     assert force == pytest.approx(load, abs=1e-3 * equations.SUPPLY * equations.piston_areas(p, name)[0])
 
 
-@pytest.mark.parametrize(("command", "speed"), [(5.0, 0.5), (-5.0, -0.3), (2.0, 0.1)])
-def test_steady_swing_torque_is_that_of_the_lumped_drive(command, speed):
-    """Same torque and supply flow at the same speed: the lines have the same friction, in other places."""
-    moved = {"swing_command": command, "swing_speed": speed}
-    lumped, found = (settled("swing", v, **moved) for v in ("lumped", "quasistatic"))
-    p = values(FAMILIES["swing"]["lumped"]).p
-    d = p["motor_displacement"] * p["gear_ratio"]
-    # the leakage of the closed edges in the turbulent term: 1e-3 of P_s D
-    assert lumped["swing_torque"] == pytest.approx(found["swing_torque"], abs=1e-3 * equations.SUPPLY * d)
-    # the same leakage; 0.1 %
-    assert found["supply_flow"] == pytest.approx(lumped["supply_flow"], rel=1e-3)
-
-
 MOTION = {"swing_command": 4.0, "boom_command": 5.0, "stick_command": 4.0}  # V
 SIGNALS = (*PRESSURES, *(f"manipulator.{joint}_speed" for joint in equations.JOINTS))
 

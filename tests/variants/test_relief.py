@@ -13,7 +13,7 @@ from orchestrator import Trace, run
 
 def moved(stop, commands, **variants):
     """Outputs of the machine with these commands [V] (times, values) by lever, at 200 Hz."""
-    return played(machine(**variants), *corners(stop, commands), tolerance=1e-8)
+    return played(machine(**variants), *corners(stop, commands), tolerance=1e-6)
 
 
 def test_cross_port_relief_limits_the_braking_of_the_swing():

@@ -6,7 +6,7 @@ from kit import shards
 from kit.equations import in_pose, machine, piston_areas, played
 from kit.every import MACHINES
 
-from fmus.machine.parts import FERIC
+from fmus.machine.parts import FAMILIES, FERIC
 from fmus.parameters import values
 
 STAND = 1.0  # s
@@ -17,6 +17,12 @@ CASES = [
     for i in range(len(MACHINES))
     for k, pose in enumerate(POSES)
 ]
+
+
+def test_machines_hold_every_variant():
+    """The machines of the suite leave no variant out."""
+    met = {(part, m.get(part, next(iter(variants)))) for m in MACHINES for part, variants in FAMILIES.items()}
+    assert met == {(part, v) for part, variants in FAMILIES.items() for v in variants}
 
 
 @pytest.mark.parametrize(("index", "pose"), CASES)

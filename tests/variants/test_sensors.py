@@ -6,7 +6,6 @@ import pytest
 from kit import shards
 from kit.cranes import machine
 from kit.equations import Part
-from scipy.integrate import solve_ivp
 
 from fmus.controller.paths import start_angles
 from fmus.machine.build import harvester
@@ -63,12 +62,8 @@ def test_lag_and_delay():
     """
     w, (lag, delay) = 2 * np.pi * 10, (QUIET.p["pressure_lag"], QUIET.p["pressure_delay"])
     time = np.arange(0, 1, 1e-3)
-
-    def slope(t, x):
-        return QUIET(x, pressure=5e6 + 1e6 * np.sin(w * t))[0]
-
-    x = solve_ivp(slope, (0, 1), QUIET.start(), t_eval=time, rtol=1e-9, atol=1e-3, max_step=2e-3).y
-    found = np.array([reading(QUIET, column) for column in x.T])[-300:] - 5e6
+    shown = QUIET.follow(time, lambda t: {"pressure": 5e6 + 1e6 * ca.sin(w * t)})
+    found = shown["pressure_measured"][-300:] - 5e6
     wave = np.exp(1j * w * time[-300:])
     response = 2j * np.mean(found * wave.conj()) / 1e6
     expected = np.exp(-1j * w * delay) / (1 + 1j * w * lag)

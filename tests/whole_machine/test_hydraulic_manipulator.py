@@ -1,10 +1,7 @@
-"""The published benchmark of a hydraulic manipulator: component, equations, coupled run."""
+"""The published benchmark of a hydraulic manipulator: equations and coupled run."""
 
-import os
-import subprocess
 import sys
-from functools import cache, partial
-from pathlib import Path
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -14,53 +11,17 @@ import steps
 from arm import ARM
 from fmpy.validation import validate_fmu
 from hydraulics import HYDRAULICS, model
-from hypothesis import given
-from hypothesis import strategies as st
 from kit.equations import Part
 from kit.mistakes import table
 from machine import SUBSYSTEMS, solve
-from scipy.integrate import cumulative_trapezoid
 
-from fmus.contract import quantities
 from fmus.parameters import values
-from orchestrator import Trace, read_trace
+from orchestrator import read_trace
 from orchestrator import reference as monolithic
 from orchestrator import run as orchestrate
 from orchestrator.data.recording import read_recording
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.studies.convergence.convergence_study import choose
-
-ROOT = Path(__file__).parents[2]
-EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"
-pressure_differences = st.floats(-4e7, 4e7)
-transitions = st.floats(1.0, 1e5)
-
-
-@given(pressure_differences, pressure_differences, transitions)
-def test_orifice_is_odd_and_increasing_and_a_check_valve_passes_one_way(dp, other, transition):
-    """Exchanging both sides turns the root around exactly; behind a check valve there is no flow back."""
-    root = partial(model.regular_root, transition=transition)
-    assert root(-dp) == -root(dp)
-    assert root(min(dp, other)) <= root(max(dp, other))
-    one_way = float(model.one_way_flow(1e-4, dp, 850.0, 0.67, transition))
-    assert one_way == pytest.approx(0.67e-4 * np.sqrt(2 / 850.0) * root(dp) if dp > 0 else 0, rel=1e-14)
-
-
-@given(st.floats(1.0, 1e6), transitions)
-def test_orifice_strays_from_the_square_root_as_stated(ratio, transition):
-    """The regular root lies below the square root by the share (dp_t / dp)^2 / 4 at most; 1 % at 5 dp_t."""
-    dp = ratio * transition
-    share = 1 - float(model.regular_root(dp, transition)) / np.sqrt(dp)
-    # rounding of the two roots: a few 1e-16
-    assert -1e-15 <= share <= 1 / (4 * ratio**2) + 1e-15
-    assert 1 - float(model.regular_root(5e3, 1e3)) / np.sqrt(5e3) == pytest.approx(0.01, rel=0.03)
-
-
-def test_orifice_slope_at_zero_is_finite():
-    """The derivative at zero is dp_t^(-1/2), where the square root's is infinite."""
-    dp = ca.SX.sym("dp")
-    slope = ca.Function("slope", [dp], [ca.gradient(model.regular_root(dp, 1e3), dp)])
-    assert float(slope(0)) == pytest.approx(1e3**-0.5, rel=1e-14)  # exact but for rounding
 
 
 def parameters():
@@ -80,17 +41,6 @@ def test_hydraulic_power_balance():
         received = p.supply_pressure * y.supply_flow - p.tank_pressure * y.return_flow
         used = y.dissipated_power + y.force * u.s1_dot + compression
         assert float(received) == pytest.approx(float(used), rel=1e-12)  # exact identity: rounding only
-
-
-@pytest.mark.parametrize("pressure", [0.1e6, 3e6, 7.6e6, 50e6])
-def test_bulk_modulus_belongs_to_the_density(pressure):
-    """beta = rho dp/drho of the density 1 + a p + b p^2, by central differences."""
-    p = parameters()
-    step = 1e4
-    above, below = (model.relative_density(pressure + d, p) for d in (step, -step))
-    expected = model.relative_density(pressure, p) * 2 * step / (above - below)
-    # the central difference of a parabola is exact, its rounding is 1e-16 / (slope step) = 2e-11
-    assert model.bulk_modulus(pressure, p) == pytest.approx(expected, rel=1e-10)
 
 
 def test_published_equilibrium():
@@ -123,30 +73,6 @@ def test_joined_ode_follows_the_reference():
     bars = {"arm.s1": 2e-6, "hydraulics.p_1": 150, "hydraulics.p_2": 150, "arm.s1_dot": 1e-4, "arm.f_h": 12}
     for name, bar in bars.items():
         assert np.max(np.abs(found[name] - reference[name])) < bar, name
-
-
-def test_joined_ode_of_a_finely_sampled_manoeuvre():
-    """A curve whose rows fall on the output times but for rounding is solved like one with the same times."""
-    time, summed = np.linspace(0, 1, 101), np.append(0.0, np.cumsum(np.full(100, 1e-2)))
-    assert 0 < np.max(np.abs(summed - time)) < 1e-12  # s
-    kappa0 = values(HYDRAULICS).u["kappa"]
-
-    def solved(rows):
-        return solve(Trace(rows, {"kappa": kappa0 + 0.005 * (1 - np.cos(2 * np.pi * rows))}), time)
-
-    found, expected = solved(summed), solved(time)
-    # rounding: 1e-12 s of a motion of 0.1 m/s and of pressures that change by 1e7 Pa/s
-    np.testing.assert_allclose(found["arm.s1"], expected["arm.s1"], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found["hydraulics.p_1"], expected["hydraulics.p_1"], rtol=0, atol=1e-3)
-
-
-def test_manoeuvre_starts_in_equilibrium():
-    """M1 as shipped is the published one: kappa0, 10 mm to the left in 1 ms, 30 to the right in 2 ms."""
-    m1 = read_trace(run.M1)
-    kappa0 = values(HYDRAULICS).u["kappa"]
-    np.testing.assert_array_equal(m1.time, [0, 2, 2.001, 6, 6.002, 10])
-    # printed with ten digits
-    np.testing.assert_allclose(m1["kappa"] - kappa0, [0, 0, -0.01, -0.01, 0.02, 0.02], atol=1e-10)
 
 
 @pytest.fixture(scope="module")
@@ -228,61 +154,6 @@ def test_hermite_is_stable_at_large_steps(manipulator_systems, step, bar):
     assert error < bar
 
 
-def test_adaptive_steps_meet_the_ramps_and_are_fewer(manipulator_systems):
-    """At 1e-5 within 2e-5 m (measured 5e-7), on the ramps; at 1e-4 a tenth of the steps (178 of 5000)."""
-    result, error = by_hermite(manipulator_systems, adaptive=1e-5)
-    assert error < 2e-5
-    assert set(read_trace(run.M1).time.tolist()) <= set(result.trace.time.tolist())
-    adaptive, error = by_hermite(manipulator_systems, adaptive=1e-4)
-    equal, larger = by_hermite(manipulator_systems, 2e-3)
-    assert larger > error
-    assert adaptive.card.steps < equal.card.steps / 10
-
-
-def test_stays_at_rest_until_kappa_moves(run_m1):
-    """In the equilibrium at the start neither the arm nor the pressures move for 2 s."""
-    trace = run_m1("rates", 1e-3).result.trace
-    still = trace.time <= 2
-    # kappa0 is that of the bare square root, 3e-11 from the one of the orifices here: 0.5 mPa
-    assert np.ptp(trace["arm.s1"][still]) < 1e-9
-    assert np.ptp(trace["hydraulics.p_1"][still]) < 1e-3
-
-
-def test_oil_is_conserved(run_m1):
-    """The oil in each chamber changes by what flows in, at the density it has there."""
-    trace, p = run_m1("rates", 1e-3).result.trace, parameters()
-    for name, volume in zip(("1", "2"), model.volumes(trace["arm.s1"], p), strict=True):
-        density = model.relative_density(trace[f"hydraulics.p_{name}"], p)
-        oil = volume * density
-        received = cumulative_trapezoid(density * trace[f"hydraulics.flow_{name}"], trace.time, initial=0)
-        # 1 ms samples of flows that settle in 0.2 ms after each ramp: 0.1 % of the swept volume
-        np.testing.assert_allclose(oil - oil[0], received, atol=1e-3 * np.ptp(volume))
-
-
-def test_energy_is_conserved(run_m1):
-    """Work of the hydraulic force = kinetic and potential energy + heat of friction; bond residual small."""
-    result = run_m1("rates", 1e-3).result
-    time, arm = result.trace.time, {n: result.trace[f"arm.{n}"] for n in quantities(ARM.outputs)}
-    energy = arm["kinetic_energy"] + arm["potential_energy"]
-    work = cumulative_trapezoid(result.trace["hydraulics.force"] * arm["s1_dot"], time, initial=0)
-    heat = cumulative_trapezoid(arm["dissipated_power"], time, initial=0)
-    # trapezoids of 1 ms through the steep starts after the ramps: 0.01 % of the largest work
-    np.testing.assert_allclose(work, energy - energy[0] + heat, atol=1e-4 * np.max(np.abs(work)))
-    (bond,) = result.card.bonds
-    assert abs(bond.relative) < 1e-4  # measured 6e-6: second order in the step
-
-
-def test_another_manoeuvre_is_another_file(manipulator_systems, tmp_path):
-    """A manoeuvre with ramps that fit no step runs from its own file and follows the joined ODE."""
-    rows = "time,kappa 0,0.4543455896 0.3,0.4543455896 0.7123,0.47 1.2,0.47 1.55,0.44 2,0.44"
-    (tmp_path / "own.csv").write_text(rows.replace(" ", "\n"))
-    outcome = run.simulate(manipulator_systems["rates"], tmp_path / "own.csv", 1e-3, "jacobi")
-    assert outcome.validation is None
-    assert np.ptp(outcome.truth["arm.s1"]) > 0.01
-    # a kink inside a step is smeared over that step; else the errors of M1
-    assert outcome.error("arm.s1") < 5e-6
-
-
 def test_all_masters_in_one_call(manipulator_systems):
     """The study of README.md: who is stable at which step, and the errors of a single run in its table."""
     settings = choose(["jacobi plain", "jacobi order 0", "hermite to tolerance"])
@@ -302,12 +173,3 @@ def test_command_line(tmp_path, monkeypatch, capsys):
     assert run.main() == 0
     assert "pass: 3 of 3 signals within their limits" in capsys.readouterr().out
     assert {p.suffix for p in tmp_path.iterdir()} == {".fmu", ".ssp", ".csv", ".png"}
-
-
-def test_command_line_tells_a_mistake_in_one_line(tmp_path):
-    """A missing manoeuvre is named in one line on standard error."""
-    command = [sys.executable, str(EXAMPLE / "run.py"), "--out", str(tmp_path), "--manoeuvre", "nowhere.csv"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=tmp_path, check=False)
-    assert done.returncode == 1
-    assert done.stderr == "error: nowhere.csv: no such file\n"

@@ -10,7 +10,6 @@ import pytest
 from fmpy import extract
 from fmpy.validation import validate_fmu
 from kit import mistakes
-from kit.fmu import driving
 from kit.toy import toy
 
 from fmus.composition import compose, declared, flat_names
@@ -18,7 +17,6 @@ from fmus.contract import Quantity, Subsystem, quantities, symbolic
 from fmus.machine.build import data
 from fmus.machine.one_block import HARVESTER, HIDDEN, TEXTS, TOTALS
 from fmus.machine.parts import FERIC
-from fmus.machine.poses import pose_grid
 from fmus.monolith import join
 from fmus.parameters import Number, numbers, read, values
 from orchestrator import run
@@ -169,18 +167,6 @@ def test_equations_are_those_of_the_monolith():
 def test_fmpy_finds_no_problem(fmu_dir):
     """Schema, model structure, units and names pass FMPy's validation."""
     assert validate_fmu(str(fmu_dir / "harvester.fmu")) == []
-
-
-@pytest.mark.parametrize("kind", ["cs", "me"])
-def test_machine_starts_at_rest_in_every_pose(fmu_dir, kind):
-    """Pressures follow from the pose: no joint accelerates."""
-    joints = ("swing", "boom", "stick")
-    for boom, stick in list(pose_grid(3)):
-        pose = {"initial_boom_angle": boom, "initial_stick_angle": stick}
-        with driving(fmu_dir / "harvester.fmu", kind, **pose) as fmu:
-            assert [*fmu.get("boom_angle", "stick_angle")] == [boom, stick]
-            # gravity alone gives 1 to 10 rad/s2; forces balance to rounding of 1e5 N
-            np.testing.assert_allclose(fmu.get(*(f"der_{j}_speed" for j in joints)), 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-8])

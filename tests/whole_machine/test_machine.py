@@ -1,6 +1,6 @@
 """The machine of coupled FMUs: held, moved the way it is told, and driven to and beyond its limits.
 
-Energy: tests/variants/test_balances.py, test_manipulator.py, over the work cycle test_energy.py.
+Energy: tests/variants/test_balances.py, test_manipulator.py, test_supply.py.
 """
 
 import numpy as np
@@ -98,15 +98,6 @@ def test_a_held_arm_sinks_as_its_leakage_says(driven, pose):
     assert np.abs(y["manipulator.swing_angle"]).max() < 1e-9
 
 
-def test_without_supply_the_closed_valves_still_hold(driven):
-    """The engine off: the arm stands but for its leakage."""
-    y = driven(5.0, supply_pressure=0.0)
-    for joint in PISTONS:
-        # both edges of a port leak to zero pressure
-        highest = extremes(y, joint)[1]
-        assert np.ptp(y[f"manipulator.{joint}_position"]) < 5.0 * leaked(2 * highest, joint)
-
-
 @table(__file__, "signs", "command, signs")
 def test_positive_commands_move_the_stated_way_and_negative_ones_back(driven, command, signs):
     """Signs of every port: positive swings left, raises the boom, extends (and so folds) the stick."""
@@ -142,13 +133,6 @@ def test_a_supply_below_the_load_lets_the_arm_sink(driven):
     assert y["boom_stick.supply_flow"][-1] < 0  # into the supply
     assert chambers(y, "boom")[0][0] > 5e6  # the load is above the supply
     assert extremes(y, "boom")[0] > FULL_VACUUM
-
-
-def test_a_head_too_heavy_to_lift_is_not_lifted(driven):
-    """With 3 t at the stick end the holding pressure is above the supply: the boom sinks at full command."""
-    y = driven(1.5, at(0.0, -0.7) | {"manipulator.head_mass": 3000.0}, boom_command=10.0)
-    assert chambers(y, "boom")[0][0] > SUPPLY
-    assert y["manipulator.boom_velocity"][-1] < 0
 
 
 def test_reversing_at_full_speed_stays_bounded(driven):

@@ -130,42 +130,6 @@ def test_held_out_steps_are_predicted(example, folder, tmp_path, capsys):
         assert max(found.pressures.values()) < 0.04 * SUPPLY
 
 
-@pytest.mark.usefixtures("example")
-def test_descriptions_are_written_next_to_the_files(folder):
-    """A recording is read by its TOML file: SI units, range of the converter, use."""
-    import recordings
-
-    files = recordings.files(folder)
-    (recording,) = recordings.read([f for f in files if (f.volts, f.chamber, f.repeat) == (2, "B", 1)])
-    text = (folder / "m_find_b_pB_2V_sample_1.toml").read_text(encoding="utf-8")
-    assert 'use = "test"' in text
-    assert recording.units == {"command": "V", "position": "m", "rod_pressure": "Pa"}
-    assert recording.sensor("position").high == pytest.approx(0.2 - 0.02 * 20 / 4096)
-    assert recording.conditions["step"] == 2.0
-    # noise of a mean over 0.5 s
-    late = recording.time > recording.time[-1] - 0.5
-    assert recording["rod_pressure"][late].mean() == pytest.approx(SUPPLY, rel=0.02)
-
-
-@pytest.mark.usefixtures("example")
-def test_scatter_of_the_speeds_is_that_of_the_openings(folder):
-    """The gains are relative to the mean of a step; their covariance is pooled over the steps."""
-    import fit
-    import recordings
-
-    found = fit.scatter(list(recordings.read(recordings.select(recordings.files(folder), (1, 5), None))))
-    assert len(found.gains) == 4
-    for volts in (1, 5):
-        gains = [g for name, g in found.gains.items() if f"{volts}V" in name]
-        np.testing.assert_allclose(np.mean(gains, axis=0), 1)  # by definition, rounding only
-    # two openings of +-1 % have a standard deviation of 1.414 %; the flow o / sqrt(1 + R o^2) changes by less
-    opened = GAIN * (np.array([1, 5]) - DEAD_BAND)
-    expected = 0.01414 * np.sqrt(np.mean(1 / (1 + BORES * opened**2) ** 2))
-    # the noise of a speed is 0.05 %, and the pressures change a little, too
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), expected, rtol=0.1)
-    assert found.degrees == 2
-
-
 def test_a_folder_without_recordings_is_refused(example, tmp_path):
     """One line says what was expected."""
     with pytest.raises(Problem, match="expected files such as m_find_b_pA_1V_sample_1"):

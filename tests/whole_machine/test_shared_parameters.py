@@ -136,13 +136,6 @@ def test_what_cannot_be_shared_is_refused(name, reason):
     mistakes.problem(other.check_sharing, "start value in b, got no such component")
 
 
-def test_three_shared_values_are_set_all_at_once():
-    """The line does not say both."""
-    part = FmuInterface({"factor": FmuVariable("factor", causality="parameter", starts=("1",))})
-    system = System("s", {n: Component(n, part) for n in "abc"}, shared={"factor": tuple("abc")})
-    mistakes.problem(lambda: system.with_start({"c.factor": 2.0}), "; set all at once by the name factor")
-
-
 def test_a_factor_of_a_study_sets_all_parts(fmu_dir, tmp_path):
     """A factor of one part alone is refused; the name of the shared value is a factor like any other."""
     file = tmp_path / "study.toml"
