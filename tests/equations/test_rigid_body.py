@@ -1,4 +1,4 @@
-"""The mechanics of the manipulator's variants against Pinocchio."""
+"""The mechanics of the manipulator's variants against Pinocchio, pendulums, conservation laws, geometry."""
 
 import math
 from functools import cache
@@ -7,12 +7,15 @@ import casadi as ca
 import numpy as np
 import pytest
 from kit.equations import Part
+from scipy.integrate import solve_ivp
+from scipy.special import ellipk
 
 from fmus.contract import stack, symbols
 from fmus.manipulator import VARIANTS
 from fmus.parameters import values
 
 NUMBERS = {variant: dict(values(sub).p) for variant, sub in VARIANTS.items()}
+P = NUMBERS["rigid"]
 CYLINDERS = ("boom", "stick")
 
 
@@ -54,10 +57,10 @@ def state(variant, q, w, z=0.0, held=0.0):
     return x
 
 
-def evaluate(x, forces=(0.0, 0.0, 0.0), numbers=None, variant="rigid"):
+def evaluate(x, forces=(0.0, 0.0, 0.0), numbers=P, variant="rigid"):
     """Rates and outputs by name at states x, forces: swing torque, boom force, stick force."""
     own = part(variant)
-    own.p, u = numbers or NUMBERS[variant], dict.fromkeys(own.inputs, 0.0)
+    own.p, u = numbers, dict.fromkeys(own.inputs, 0.0)
     u |= dict(zip(("swing_torque", "boom_force", "stick_force"), forces, strict=True))
     return own(x, **u | {"payload_mass": x[own.at("held_mass")]})  # nothing is picked up or dropped
 
@@ -202,3 +205,100 @@ def test_elbow_tip_and_head_are_where_pinocchio_s_kinematics_put_them(pin, varia
             theirs += [*data.oMi[5].act(np.array([0.0, 0.0, -numbers["head_length"]]))]
         # exact identity, rounding only
         np.testing.assert_allclose([y[name] for name in ours], theirs, rtol=1e-12, atol=1e-12)
+
+
+def first_moment_and_inertia(joint):
+    """Sum of m r [kg.m] and inertia [kg.m2] about a joint, the others locked, the stick at -1.4 rad."""
+    p, fold = P, -1.4
+    stick = [
+        (p["stick_mass"], complex(p["stick_centre_x"], p["stick_centre_z"])),
+        (p["head_mass"], p["stick_length"]),
+    ]
+    inertia = p["stick_inertia"]
+    if joint == "boom":
+        elbow, turn = complex(p["stick_pivot_x"], p["stick_pivot_z"]), complex(math.cos(fold), math.sin(fold))
+        stick = [(m, elbow + turn * r) for m, r in stick]
+        stick.append((p["boom_mass"], complex(p["boom_centre_x"], p["boom_centre_z"])))
+        inertia += p["boom_inertia"]
+    return sum(m * r for m, r in stick), inertia + sum(m * abs(r) ** 2 for m, r in stick)
+
+
+@pytest.mark.parametrize("amplitude", [5.0, 30.0, 90.0])
+@pytest.mark.parametrize("joint", CYLINDERS)
+def test_free_link_swings_with_the_period_of_a_compound_pendulum(joint, amplitude):
+    """T = 4 sqrt(I / (g |m r|)) K(sin^2(A/2)) about boom and stick pivot, all other joints locked."""
+    moment, inertia = first_moment_and_inertia(joint)
+    swing, i = math.radians(amplitude), 1 if joint == "boom" else 2
+    weight = P["gravity"] * abs(moment)
+    period = 4 * math.sqrt(inertia / weight) * ellipk(math.sin(swing / 2) ** 2)
+    rest = -math.pi / 2 - np.angle(moment)  # the centre of mass hangs below the pivot
+
+    def rates(_, y):
+        q, w = np.array([0.0, 0.0, -1.4]), np.zeros(3)
+        q[i], w[i] = y[0] + rest, y[1]
+        mass, coriolis, gravity, _, _ = mechanics_of("rigid")(state("rigid", q, w), [*P.values()])
+        return [y[1], -(float(coriolis[i]) + float(gravity[i])) / float(mass[i, i])]
+
+    def crossing(_, y):
+        return y[0]
+
+    run = solve_ivp(rates, (0, 0.3 * period), [swing, 0.0], "DOP853", events=crossing, rtol=1e-11, atol=1e-12)
+    # integrator error: 1e-11 per step over a quarter of a period, 1e2 steps at most
+    assert 4 * run.t_events[0][0] == pytest.approx(period, rel=1e-9)
+
+
+@pytest.mark.parametrize("variant", ["rigid", "pendulum"])
+def test_free_arm_keeps_its_energy_and_its_angular_momentum(variant):
+    """Without forces and friction the falling, turning arm keeps T + U and its momentum about the column."""
+    own = NUMBERS[variant]
+    free = own | {name: 0.0 for name in own if name.endswith(("damping", "stop_stiffness"))}
+    angles, speeds, _ = indices(variant)
+    start = state(variant, [0.0, 0.4, -1.2, 0.3, -0.2][: len(angles)], [0.7, 0, 0, 0, 0][: len(angles)])
+
+    def kept(x):
+        mass, _, _, kinetic, potential = mechanics_of(variant)(x, [*free.values()])
+        return float(kinetic), float(kinetic + potential), float(mass[0, :] @ x[speeds])
+
+    def falling(_, x):
+        return evaluate(x, numbers=free, variant=variant)[0]
+
+    run = solve_ivp(falling, (0, 3), start, "DOP853", rtol=1e-11, atol=1e-11)
+    rows = np.array([kept(x) for x in run.y.T])
+    exchanged = np.ptp(rows[:, 0])
+    assert exchanged > 2e4  # the arm does fall: most of its potential energy passes through the kinetic
+    # integrator error: 1e-11 per step, a few hundred steps
+    assert np.ptp(rows[:, 1]) < 1e-8 * exchanged
+    assert np.ptp(rows[:, 2]) < 1e-8 * abs(rows[0, 2])
+
+
+def poses(name, count=25):
+    """Angles [rad] of a joint over the cylinder's stroke, as states with speed 0.3 rad/s there."""
+    i = 1 + CYLINDERS.index(name)
+    for angle in np.linspace(-0.5, 1.0, count) if name == "boom" else np.linspace(-2.2, -0.6, count):
+        x = state("rigid", [0.1, 0.2, -1.4], [0.0, 0.0, 0.0])
+        x[i], x[i + 3] = angle, 0.3
+        yield i, x
+
+
+def pins(name, angle):
+    """Base and rod pin [m] of a cylinder as complex numbers (along, across) from the joint."""
+    base, pin = (complex(P[f"{name}_{n}_x"], P[f"{name}_{n}_z"]) for n in ("base", "pin"))
+    return base, pin * complex(math.cos(angle), math.sin(angle))
+
+
+@pytest.mark.parametrize("name", CYLINDERS)
+def test_moment_arm_is_slope_of_the_length_and_distance_to_the_cylinder_line(name):
+    """J = dx/dq by differences; |J| = distance of the pivot from the line of the pins; J > 0 for the boom."""
+    step = 1e-4
+    for i, x in poses(name):
+        lever = evaluate(x)[1][f"{name}_velocity"] / x[i + 3]
+        ends = [evaluate(x + d * np.eye(x.size)[i])[1][f"{name}_position"] for d in (-step, step)]
+        # truncation step^2/6 of the third derivative (below 1 m), rounding 1e-16/step
+        assert (ends[1] - ends[0]) / (2 * step) == pytest.approx(lever, abs=1e-8)
+        base, rod = pins(name, x[i])
+        along = (rod - base) / abs(rod - base)
+        length = evaluate(x)[1][f"{name}_position"] + P[f"{name}_closed_length"]
+        # exact identities, rounding only
+        assert length == pytest.approx(abs(rod - base), rel=1e-13)
+        assert abs((base.conjugate() * along).imag) == pytest.approx(abs(lever), rel=1e-12)
+        assert (lever > 0) == (name == "boom")
