@@ -29,7 +29,7 @@ from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Status
 from orchestrator.lanes.many import archives_of, in_threads
 from orchestrator.studies import design, store
-from orchestrator.studies.analysis.output_samples import without_numbers
+from orchestrator.studies.analysis.output_samples import failures
 from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
 from orchestrator.studies.runs import STORE_TIME, Payload, RunOutcome, StudyRuns
 from orchestrator.studies.study import Study, read
@@ -194,23 +194,9 @@ def summary(results: store.Results) -> str:
         values = (f"{v * unit.factor:.5g}" for v in (column.min(), column.mean(), column.max()))
         rows.append((output.name, *values, unit.display))
     lines = TextTable(("output", "minimum", "mean", "maximum", "unit"), rows, left=(0, 4)).lines()
-    warnings = ["", *(f"warning: {w}" for w in results.warnings)] if results.warnings else []
-    return "\n".join([f"{len(results.table)} runs: {statuses}", "", *lines, *_reasons(results), *warnings])
-
-
-def _reasons(results: store.Results) -> list[str]:
-    """Failures, and runs that are not reliable, by reason.
-
-    Reasons that differ only in their numbers are one, shown by its first run.
-    """
-    status = results.table["status"]
-    reasons = results.table.loc[status.isin((Status.FAILED, Status.NOT_RELIABLE)), "reason"]
-    same = reasons.groupby(without_numbers(reasons), sort=False)
-    groups = sorted((group for _, group in same), key=len, reverse=True)
-    lines = []
-    for group in groups[:REASONS]:
-        example = ", such as" if group.nunique() > 1 else ""
-        lines.append(f"{len(group)} {status[group.index[0]]}{example}: {group.iloc[0]}")
-    if len(groups) > REASONS:
-        lines.append(f"... and for {len(groups) - REASONS} other reasons")
-    return ["", *lines] if lines else []
+    found = failures(results)
+    causes = [f"{f.count} of them{', such as' if f.various else ''}: {f.reason}" for f in found[:REASONS]]
+    causes += [f"... and for {len(found) - REASONS} other reasons"] if len(found) > REASONS else []
+    warnings = [f"warning: {w}" for w in results.warnings]
+    parts = [f"{len(results.table)} runs: {statuses}"], lines, causes, warnings
+    return "\n\n".join("\n".join(part) for part in parts if part)

@@ -35,13 +35,13 @@ def test_failures_are_grouped_whatever_the_numbers_in_their_reasons() -> None:
     reasons = {n: f"operator_input: swing_1_rise is {-0.1 * n:g}, expected at least 0" for n in range(3, 9)}
     found = _failed(reasons={**reasons, 30: "the process ended by signal 11 (SIGSEGV)"})
     assert summary(found).splitlines()[-2:] == [
-        "6 failed, such as: operator_input: swing_1_rise is -0.3, expected at least 0",
-        "1 failed: the process ended by signal 11 (SIGSEGV)",
+        "6 of them, such as: operator_input: swing_1_rise is -0.3, expected at least 0",
+        "1 of them: the process ended by signal 11 (SIGSEGV)",
     ]
     found = _failed(reasons={n: f"part {'abcdefg'[n % 7]} broke at {n} s" for n in range(14)})
     lines = summary(found).splitlines()
     assert lines[-1] == "... and for 2 other reasons"
-    assert lines[-6] == "2 failed, such as: part a broke at 0 s"
+    assert lines[-6] == "2 of them, such as: part a broke at 0 s"
 
 
 @table(__file__, "causes", "one, other, same")

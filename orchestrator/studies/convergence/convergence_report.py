@@ -1,6 +1,7 @@
 """Tables, figures and files of a convergence study.
 
-The tables have a row for each setting and a column for each communication step, a figure a curve for each setting.
+The tables have a row for each setting and a column for each communication step, figures a curve for each
+setting.
 """
 
 from __future__ import annotations

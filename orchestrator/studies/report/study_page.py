@@ -5,14 +5,12 @@ The page is one file that needs no network. The JSON file contains the same valu
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure as Drawing
 
@@ -23,7 +21,7 @@ from orchestrator.results.report import Columns, Facts, Figure, Part, Report, Se
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import MEASURES, output_description, sentences, size
 from orchestrator.studies.analysis.output_samples import done
-from orchestrator.studies.analysis.results import HEAD, MU_STAR, Analysis, Effect, OutputAnalysis, Sensitivity
+from orchestrator.studies.analysis.results import HEAD, Analysis, Effect, OutputAnalysis, Sensitivity
 from orchestrator.studies.report.study_figures import (
     MOST_BARS,
     bands,
@@ -44,7 +42,6 @@ BANDS = (
 )
 METHODS = {"latin": "Latin hypercube", "sobol": "Sobol' points", "grid": "full grid"}
 METHODS |= {"saltelli": "Saltelli design", "morris": "Morris trajectories"}
-BINS = 16  # of the small histograms
 PURE = DisplayUnit("", "")
 
 
@@ -121,8 +118,6 @@ def _output(results: Results, output: Output, found: OutputAnalysis, index: int)
         samples = {"mu_star": "trajectories"}.get(sensitivity.measure, "samples")
         counted = f"{sensitivity.samples} {'runs' if results.study.method == 'grid' else samples}"
         effects = [Table(_effects(sensitivity, found.display), ["Brackets: 95 % intervals"])]
-        apart = replace(_apart(sensitivity, found.display), title="In each combination of choices")
-        effects += [Table(apart)] if sensitivity.apart else []
         parts.append(Section(f"All estimates: {sensitivity.method}, {counted}", effects, folded=True))
         parts.append(Text([*sensitivity.notes, *found.notes], "soft"))
     return Section(found.name, parts)
@@ -146,11 +141,8 @@ def _failures(results: Results, analysis: Analysis) -> TextTable:
 def _varied(results: Results, analysis: Analysis) -> list[Part]:
     """Factors with their samples, choices with their options, and fixed values."""
     study = results.study
-    rows = [
-        [_code(f.name), f.distribution, distribution_text(f), _spark(_bar_heights(results.table[f.column]))]
-        for f in study.factors
-    ]
-    factors = TextTable(["factor", "distribution", "parameters", "samples"], rows, left=range(4))
+    rows = [[_code(f.name), f.distribution, distribution_text(f)] for f in study.factors]
+    factors = TextTable(["factor", "distribution", "parameters"], rows, left=range(3))
 
     def drawn(choice: Choice) -> str:
         if len(choice.options) == 1:
@@ -190,16 +182,6 @@ def _definition(results: Results) -> list[Part]:
     return [Facts(facts), Table(TextTable(["output", "measure", "signal", "window"], rows, left=range(4)))]
 
 
-def _spark(bars: Sequence[float]) -> Markup:
-    """A small histogram."""
-    rect = Markup('<rect x="{}" y="{:.3g}" width="0.84" height="{}"/>')
-    drawn = Markup().join(rect.format(k + 0.08, 1 - bar, bar) for k, bar in enumerate(bars))
-    head = (
-        '<svg class="spark" viewBox="0 0 {} 1" preserveAspectRatio="none" role="img" aria-label="{}">{}</svg>'
-    )
-    return Markup(head).format(len(bars), "histogram of the samples", drawn)
-
-
 def distribution_text(factor: Factor) -> str:
     """The distribution of a factor as text, such as `0.5 to 3 bar`."""
     unit = factor_unit(factor)
@@ -214,15 +196,6 @@ def distribution_text(factor: Factor) -> str:
         return f"mean {text['mean']}, standard deviation {text['sd']}{suffix}"
     mode = f", most often {text['mode']}" if factor.distribution == "triangular" else ""
     return f"{text['minimum']} to {text['maximum']}{suffix}{mode}"
-
-
-def _bar_heights(column: pd.Series) -> list[float]:
-    """Heights of the bars of a histogram of samples, the highest 1."""
-    values = column.to_numpy(float)
-    if not len(values) or np.ptp(values) == 0:
-        return [1.0]
-    counts, _ = np.histogram(values, bins=BINS)
-    return [round(float(count / counts.max()), 3) for count in counts]
 
 
 def _spreads(analysed: OutputAnalysis) -> TextTable:
@@ -264,16 +237,6 @@ def _measure(effect: Effect, key: str, unit: DisplayUnit) -> str:
     return (unit if key in ("mu", "sigma") else PURE).text(effect.more[key])
 
 
-def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
-    """The sensitivity measure of each factor in each combination of choices."""
-    measure, rows = sensitivity.measure, []
-    combinations = [{e.name: e.estimates[measure] for e in effects} for effects in sensitivity.apart.values()]
-    for name in (effect.name for effect in sensitivity.effects if effect.kind == "factor"):
-        cells = [size(c[name], measure, unit) if name in c else NO_VALUE for c in combinations]
-        rows.append([_code(name), *cells])
-    return TextTable(["factor", *sensitivity.apart], rows)
-
-
 def _figures(results: Results, output: Output, analysed: OutputAnalysis, index: int) -> list[Figure]:
     """Sensitivities, dots of all runs, and distribution of an output."""
     sensitivity, figures = analysed.sensitivity, list[Figure]()
@@ -282,8 +245,9 @@ def _figures(results: Results, output: Output, analysed: OutputAnalysis, index: 
         figures.append(Figure(embed(drawing, f"{name[0]}{index}-", name), name, caption, heading))
 
     if sensitivity is not None:
-        hidden = _hidden_effects(sensitivity, analysed.display)
-        add(tornado(analysed, sensitivity), "tornado", "Sensitivities", hidden)
+        count = len(sensitivity.effects)
+        caption = f"The {MOST_BARS} largest of {count}, which are in the table." if count > MOST_BARS else ""
+        add(tornado(analysed, sensitivity), "tornado", "Sensitivities", caption)
         if (dots := scatter(results, output, analysed, sensitivity)) is not None:
             line = "; the line is the median." if shows_medians(results) else "."
             add(dots, "scatter", "Factors with the largest effect", f"A dot for each run{line}")
@@ -291,16 +255,6 @@ def _figures(results: Results, output: Output, analysed: OutputAnalysis, index: 
         drawing = histogram(results, output, analysed, colouring(results, sensitivity))
         add(drawing, "histogram", "Distribution", "Dashed: 5, 50 and 95 % quantiles.")
     return figures
-
-
-def _hidden_effects(sensitivity: Sensitivity, unit: DisplayUnit) -> str:
-    """Caption about the effects that a tornado does not show."""
-    hidden = sensitivity.effects[MOST_BARS:]
-    if not hidden:
-        return ""
-    largest = max(hidden[0].estimates[sensitivity.measure].value, 0.0)
-    bound = unit.text(largest) if sensitivity.measure == MU_STAR else f"{math.ceil(100 * largest)} %"
-    return f"Not shown: {len(hidden)} more, none with more than {bound}."
 
 
 def _bands(results: Results) -> Iterator[tuple[str, list[Figure]]]:
