@@ -67,7 +67,7 @@ def prepare(study: Study) -> PreparedStudy:
     table = design.table(resolved)
     runs = design.runs(resolved, table, cases)
     payload = Payload(resolved, cases, archives_of(case.system for case in cases.values()))
-    return PreparedStudy(payload, table, runs, doubts(resolved, cases))
+    return PreparedStudy(payload, table, runs, doubts(resolved, cases.values()))
 
 
 def sweep(

@@ -285,10 +285,9 @@ def fingerprint(payload: Payload, table: pd.DataFrame) -> dict[str, Any]:
             starts = repr(sorted(component.start.items())).encode()
             files[f"the start values of {name}{combination}"] = digest(starts)
         if case.scenario is not None:
-            signals = (np.ascontiguousarray(v).tobytes() for v in case.scenario.signals.values())
-            names = "\n".join(case.scenario.signals).encode()
-            data = names + case.scenario.time.tobytes() + b"".join(signals)
-            files[f"the scenario{chosen.get('scenario', '')}"] = digest(data)
+            columns = repr(sorted((str(p), c) for p, c in case.scenario.columns.items())).encode()
+            data = b"".join(np.ascontiguousarray(array).tobytes() for array in case.scenario.table.arrays)
+            files[f"the scenario{chosen.get('scenario', '')}"] = digest(columns + data)
         connections = repr((case.system.connections, case.system.coupling, case.system.step)).encode()
         files[f"the connections{combination}"] = digest(connections)
     samples = digest(table.to_csv(float_format="%.17g").encode())
