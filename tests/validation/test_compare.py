@@ -236,7 +236,7 @@ def solved(name: str = "arm", master: str = SOLVER, **signals: float) -> Result:
         variables["still"] = FmuVariable("still", causality="output", attributes={"nominal": "100"})
     system = System("s", {name: Component(name, FmuInterface(variables))})
     trace = Trace(TIME, {f"{name}.{n}": 3.0 + rate * TIME for n, rate in signals.items()})
-    return Result(system, trace, Card(master, 0.1, 0.1, 10, 1.0, 0.1))
+    return Result(system, trace, Card(master=master, step=0.1, steps=10, simulated=1.0, wall=0.1))
 
 
 def test_without_shipped_signals_all_outputs_are_compared():

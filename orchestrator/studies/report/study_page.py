@@ -14,12 +14,12 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Drawing
 
-from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit, number
+from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
 from orchestrator.pages.html_page import json_values, write_text
 from orchestrator.pages.plotting import embed
 from orchestrator.results.report import Columns, Facts, Figure, Part, Report, Section, Table, Text
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.analysis_text import MEASURES, output_description, sentences, size
+from orchestrator.studies.analysis.analysis_text import output_description, sentences, size
 from orchestrator.studies.analysis.output_samples import done
 from orchestrator.studies.analysis.results import HEAD, Analysis, Effect, OutputAnalysis, Sensitivity
 from orchestrator.studies.report.study_figures import (
@@ -72,6 +72,9 @@ def study_report(results: Results, analysis: Analysis) -> Report:
         left_out if failed else "All finished",
     ]
     sections = [_output(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)]
+    known: dict[str, Any] = json_values(study)
+    known.pop("folder")  # the location of the study is not a result
+    single = {n: v for n, v in known.items() if v not in ("", None) and not isinstance(v, list | dict)}
     parts: list[Part] = [
         Text(answers[1:]),
         Table(_outputs(analysis)),
@@ -79,10 +82,8 @@ def study_report(results: Results, analysis: Analysis) -> Report:
         *(Section(f"{name} over time", [Text([BANDS], "soft"), *drawn]) for name, drawn in _bands(results)),
         Section("Failed runs", [Text([left_out] if failed else []), Table(_failures(results, analysis))]),
         Section("Factors and choices", _varied(results, analysis), folded=True),
-        Section("Definition of the study", _definition(results), folded=True),
+        Section("Definition of the study", [Facts(single)], folded=True),
     ]
-    known: dict[str, Any] = json_values(study)
-    known.pop("folder")  # the location of the study is not a result
     texts = {analysed.name: sentences(analysed) for analysed in analysis.findings}
     data = {"study": known, **json_values(analysis), "sentences": texts}
     data.pop("title")
@@ -159,27 +160,6 @@ def _varied(results: Results, analysis: Analysis) -> list[Part]:
         Section("Fixed values of all runs", [Facts(fixed)]),
         Text(analysis.notes, "soft"),
     ]
-
-
-def _definition(results: Results) -> list[Part]:
-    """System, samples, runs and outputs of a study."""
-    study = results.study
-    kind = {"saltelli": "base samples", "morris": "trajectories"}.get(study.method, "samples")
-    design = "" if study.method == "grid" else f", {study.runs} {kind}, seed {study.seed}"
-    end = "the default stop time of the system" if study.stop is None else f"{number(study.stop)} s"
-    step = "default of the system" if study.step is None else f"{number(study.step)} s"
-    facts = {
-        "system": study.system,
-        "samples": f"{METHODS[study.method]}{design}",
-        "each run": f"to {end}, step {step}{f', {study.master}' if study.master else ''}",
-    }
-    rows = []
-    for o in study.outputs:
-        window = f"{number(o.start or 0)} s to {'the end' if o.stop is None else f'{number(o.stop)} s'}"
-        whole = o.start is None and o.stop is None
-        signal = [_code(o.name), MEASURES[o.measure], _code(o.signal)]
-        rows.append([*signal, "whole run" if whole else window])
-    return [Facts(facts), Table(TextTable(["output", "measure", "signal", "window"], rows, left=range(4)))]
 
 
 def distribution_text(factor: Factor) -> str:
