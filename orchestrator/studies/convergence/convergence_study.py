@@ -8,9 +8,9 @@ a good master.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from functools import partial
 from math import isfinite, log
 from pathlib import Path
 from statistics import median
@@ -30,12 +30,9 @@ from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME, Trace, rounding
 from orchestrator.engine.arguments import CaseArguments, RunArguments
-from orchestrator.engine.job import Job
-from orchestrator.engine.result import widest_of_unit
-from orchestrator.engine.run import run
-from orchestrator.engine.scenario import ScenarioSource
-from orchestrator.lanes.group import Status
-from orchestrator.lanes.many import Runs, in_threads
+from orchestrator.engine.result import Result, widest_of_unit
+from orchestrator.engine.run import attempt, run
+from orchestrator.engine.scenario import ScenarioSource, read_scenario
 from orchestrator.results.metrics import AT_REST, HUGE, Metrics, measure
 from orchestrator.results.validate_system import another_model
 from orchestrator.ssp.coupling import Coupling
@@ -373,49 +370,40 @@ def run_settings(
     reference.check(system, start, stop, steps)
     rates = rate_inputs(system) if rates is None else tuple(rates)
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference.names]
-    what = {**options, "record": list(dict.fromkeys(ports))}
-    jobs, done = dict[int, Job](), [] if done is None else done
+    given: dict[str, Any] = {**options, "record": list(dict.fromkeys(ports))}
+    done, scenario = [] if done is None else done, read_scenario(scenario)
     plans = [
         plan
         for setting in settings
         if rates or not setting.without_rates
         for plan in [SettingRun(setting, step) for step in sorted(steps)[: 1 if setting.adaptive else None]]
     ]
-    for n, plan in enumerate(plans):
-        coupled = system.without(*rates) if plan.setting.without_rates else system
-        adaptive = plan.setting.adaptive
-        record_step = reference.adaptive_record_step(start) if adaptive else plan.step
-        how = {"master": plan.setting.coupling, "step": plan.step, "record_step": record_step}
-        try:
-            jobs[n] = Job.of(coupled, scenario, what | how)
-        except Problem as problem:
-            plans[n] = replace(plan, refusal=str(problem))
-    with closing(Runs([job.system for job in jobs.values()])) as runs, doing("the first run") as line:
-        systems = dict(zip(jobs, runs.systems, strict=True))
-
-        def work(n: int) -> SettingRun:
-            line.update(f"{n} of {len(plans)}  {plans[n].setting.label}, {milliseconds(plans[n].step)}")
-            if n not in jobs:
-                return plans[n]
-            return _run(plans[n], reference, runs, replace(jobs[n], system=systems[n]), repeats)
-
-        in_threads(work, range(len(plans)), done.extend, runs.stop, workers=1)
+    with doing("the first run") as line:
+        for n, plan in enumerate(plans):
+            setting, step = plan.setting, plan.step
+            line.update(f"{n} of {len(plans)}  {setting.label}, {milliseconds(step)}")
+            coupled = system.without(*rates) if setting.without_rates else system
+            record_step = reference.adaptive_record_step(start) if setting.adaptive else step
+            given |= {"master": setting.coupling, "step": step, "record_step": record_step}
+            done.append(_run(plan, reference, partial(attempt, coupled, scenario, **given), repeats))
     if done and all(run.refusal for run in done):  # the user's mistake, not a limit of the FMUs
         raise Problem(done[0].refusal)
     return done
 
 
-def _run(plan: SettingRun, reference: Reference, runs: Runs, job: Job, repeats: int) -> SettingRun:
+def _run(
+    plan: SettingRun, reference: Reference, run: Callable[[], tuple[Result, str]], repeats: int
+) -> SettingRun:
     """One run, repeated for its wall time if it was stable."""
-    result, end = runs.alone(job)
-    failure = end.reason if end and end.status == Status.FAILED else ""
-    if result is None:
-        return replace(plan, refusal=failure)
+    try:
+        result, failure = run()
+    except Problem as problem:
+        return replace(plan, refusal=str(problem))
     card = result.card
     errors = {} if failure else reference.errors(result.trace, plan.step)
     done = replace(plan, errors=errors, steps=card.steps, simulated=card.simulated, failure=failure)
-    more = (runs.alone(job)[0] for _ in range(repeats - 1 if done.stable else 0))
-    return replace(done, walls=(card.wall, *(again.card.wall for again in more if again is not None)))
+    more = (run()[0].card.wall for _ in range(repeats - 1 if done.stable else 0))
+    return replace(done, walls=(card.wall, *more))
 
 
 # ---- for the command line
