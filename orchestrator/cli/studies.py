@@ -195,10 +195,15 @@ def sweep(
     with parameter_study.progress() as watch:
         results = run(chosen, folder, watch=watch)
     table = results.table
-    print(parameter_study.summary(results))
-    print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")
-    if not no_report:
+    if no_report:
+        from orchestrator.studies.analysis.output_samples import counts
+
+        print(counts(results))
+    else:
         from orchestrator.studies.report import study_page
 
-        print(f"report: {study_page.report(folder)}")
+        print(study_page.write(folder, results).text())
+    print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")
+    if not no_report:
+        print(f"report: {folder / study_page.PAGE}")
     return not table["status"].isin((Status.FAILED, Status.NOT_RELIABLE)).all()

@@ -27,6 +27,14 @@ def without_numbers(reasons: pd.Series) -> pd.Series:
     return reasons.astype(str).map(lambda reason: _NUMBER.sub("#", reason))
 
 
+def counts(results: Results) -> str:
+    """The number of runs of each status, such as `12 runs: 10 ok, 2 failed`."""
+    found = results.table["status"].value_counts()
+    words = (Status.OK, Status.NOT_RELIABLE, Status.EARLY, Status.FAILED)
+    statuses = ", ".join(f"{found[status]} {status}" for status in words if status in found)
+    return f"{len(results.table)} runs: {statuses}"
+
+
 def failures(results: Results) -> tuple[Failure, ...]:
     """Failed runs by reason, the most frequent first; reasons that differ only in numbers are merged."""
     failed = results.table[results.table["status"] != Status.OK].sort_values("run")

@@ -17,10 +17,10 @@ from matplotlib.figure import Figure as Drawing
 from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
 from orchestrator.pages.html_page import json_values, write_text
 from orchestrator.pages.plotting import embed
-from orchestrator.results.report import Columns, Facts, Figure, Part, Report, Section, Table, Text
+from orchestrator.results.report import TERMINAL, Columns, Facts, Figure, Part, Report, Section, Table, Text
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import output_description, sentences, size
-from orchestrator.studies.analysis.output_samples import done
+from orchestrator.studies.analysis.output_samples import counts, done
 from orchestrator.studies.analysis.results import HEAD, Analysis, Effect, OutputAnalysis, Sensitivity
 from orchestrator.studies.report.study_figures import (
     MOST_BARS,
@@ -32,10 +32,11 @@ from orchestrator.studies.report.study_figures import (
     shows_medians,
     tornado,
 )
-from orchestrator.studies.store import Results, read
+from orchestrator.studies.store import Results
 from orchestrator.studies.study import START, Choice, Factor, Output, short
 
 PAGE, NUMBERS = "report.html", "analysis.json"
+REASONS = 5  # of failures that a terminal shows
 BANDS = (
     "Line: median over the runs at each time. Area: 5 to 95 %. Dashed: smallest and largest. A single run can"
     " differ from all of these curves"
@@ -45,18 +46,12 @@ METHODS |= {"saltelli": "Saltelli design", "morris": "Morris trajectories"}
 PURE = DisplayUnit("", "")
 
 
-def report(folder: Path) -> Path:
-    """Analyse the finished study in a folder and write both files there; returns the path of the page."""
-    results = read(folder)
-    write(folder, results, analyse(results))
-    return folder / PAGE
-
-
-def write(folder: Path, results: Results, analysis: Analysis) -> None:
-    """Write both files; equal results give equal bytes."""
-    made = study_report(results, analysis)
+def write(folder: Path, results: Results) -> Report:
+    """Analyse a study and write both files; equal results give equal bytes."""
+    made = study_report(results, analyse(results))
     write_text(folder / PAGE, made.html())
     write_text(folder / NUMBERS, made.json() + "\n")
+    return made
 
 
 def study_report(results: Results, analysis: Analysis) -> Report:
@@ -65,8 +60,8 @@ def study_report(results: Results, analysis: Analysis) -> Report:
     answers = [sentences(found)[0] for found in analysis.findings]
     failed = analysis.runs - analysis.succeeded
     left_out = f"{failed} of {analysis.runs} runs failed or ended early; all statistics leave them out"
-    counts = [(study.factors, "factor"), (study.compared, "choice")]
-    varied = [f"{len(some)} {name}{'s' * (len(some) != 1)}" for some, name in counts if some]
+    kinds = [(study.factors, "factor"), (study.compared, "choice")]
+    varied = [f"{len(some)} {name}{'s' * (len(some) != 1)}" for some, name in kinds if some]
     lead = [
         f"{analysis.runs} runs of `{study.system}`, {', '.join([*varied, METHODS[study.method]])}",
         left_out if failed else "All finished",
@@ -76,8 +71,10 @@ def study_report(results: Results, analysis: Analysis) -> Report:
     known.pop("folder")  # the location of the study is not a result
     single = {n: v for n, v in known.items() if v not in ("", None) and not isinstance(v, list | dict)}
     parts: list[Part] = [
+        Text([counts(results), *_causes(analysis)], only=TERMINAL),
         Text(answers[1:]),
         Table(_outputs(analysis)),
+        Text([f"warning: {w}" for w in results.warnings], only=TERMINAL),
         *sections,
         *(Section(f"{name} over time", [Text([BANDS], "soft"), *drawn]) for name, drawn in _bands(results)),
         Section("Failed runs", [Text([left_out] if failed else []), Table(_failures(results, analysis))]),
@@ -90,18 +87,25 @@ def study_report(results: Results, analysis: Analysis) -> Report:
     return Report(analysis.title, answers[0] if answers else "", parts, data, lead=lead)
 
 
+def _causes(analysis: Analysis) -> list[str]:
+    """The most frequent reasons of failed runs, for a terminal."""
+    shown, more = analysis.failures[:REASONS], len(analysis.failures) - REASONS
+    lines = [f"{f.count} of them{', such as' if f.various else ''}: {f.reason}" for f in shown]
+    return [*lines, *([f"... and for {more} other reasons"] if more > 0 else [])]
+
+
 def _outputs(analysis: Analysis) -> TextTable:
     """Median and spread of each output."""
     rows = []
     for found in analysis.findings:
-        spread, text = found.spread, found.display.text
+        spread, unit = found.spread, found.display
         if spread is None:
             cells = [NO_VALUE, "no run has it"]
         elif found.constant:
-            cells = [text(spread.median), f"in all {spread.runs} runs"]
+            cells = [unit.ascii(spread.median), f"in all {spread.runs} runs"]
         else:
-            cells = [text(spread.median), f"{text(spread.low, with_unit=False)} to {text(spread.high)}"]
-        rows.append([_code(found.name), *cells, output_description(found)])
+            cells = [unit.ascii(spread.median), f"{unit.plain(spread.low)} to {unit.ascii(spread.high)}"]
+        rows.append([found.name, *cells, output_description(found)])
     return TextTable(["output", "median", "in nine of ten runs", "what it is"], rows, left=(0, 3))
 
 
@@ -142,7 +146,7 @@ def _failures(results: Results, analysis: Analysis) -> TextTable:
 def _varied(results: Results, analysis: Analysis) -> list[Part]:
     """Factors with their samples, choices with their options, and fixed values."""
     study = results.study
-    rows = [[_code(f.name), f.distribution, distribution_text(f)] for f in study.factors]
+    rows = [[f.name, f.distribution, distribution_text(f)] for f in study.factors]
     factors = TextTable(["factor", "distribution", "parameters"], rows, left=range(3))
 
     def drawn(choice: Choice) -> str:
@@ -201,12 +205,8 @@ def _effects(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
     rows = []
     for effect in sensitivity.effects:
         trend = "" if effect.direction is None else f"{effect.direction:+.2f}".replace("-", MINUS)
-        rows.append([_code(effect.label), *(_measure(effect, key, unit) for key in columns), trend])
+        rows.append([effect.label, *(_measure(effect, key, unit) for key in columns), trend])
     return TextTable(["factor or choice", *columns.values(), "rank correlation"], rows)
-
-
-def _code(name: str) -> Markup:
-    return Markup("<code>{}</code>").format(name)
 
 
 def _measure(effect: Effect, key: str, unit: DisplayUnit) -> str:
