@@ -15,7 +15,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-from orchestrator.cli.studies import print_convergence
 from orchestrator.pages.plotting import png
 from orchestrator.studies.convergence.convergence_report import (
     adaptive_table,
@@ -31,7 +30,7 @@ IMAGES = ROOT / "docs" / "images"
 PAGE = ROOT / "docs" / "convergence.md"
 PEERS = ROOT / "build" / "peers.csv"  # as `make bench-peers` writes it
 NUMBERS = ROOT / "docs" / "error-and-cost.csv"  # the same, beside the page
-STEPS = "0.0005,0.001,0.002,0.005,0.01,0.02"  # [s]
+STEPS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)  # [s]
 DPI = 110
 
 sys.path[:0] = [str(EXAMPLE), str(ROOT)]  # scripts, not installed packages
@@ -69,7 +68,7 @@ def studies() -> None:
         if len(sys.argv) < 2:
             harvester().write(folder)
         usual = data("reference/work_cycle.csv")
-        cycle = convergence(machine, None, folder / "cycle", STEPS, "", (), 3, usual, print_convergence)
+        cycle = convergence(machine, folder / "cycle", STEPS, default_reference=usual)
         systems = build(folder / "manipulator")
         benchmark = manipulator(systems["rates"])
         beside_the_published(systems, EXAMPLE / "steps.png")

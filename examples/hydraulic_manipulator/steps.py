@@ -14,10 +14,9 @@ from machine import RATES, build, solve
 from run import M1, REFERENCE
 
 from orchestrator import load, read_trace, run
-from orchestrator.cli.studies import print_convergence
 from orchestrator.data.recording import read_recording
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.studies.convergence.convergence_report import maximum_table
+from orchestrator.studies.convergence.convergence_report import maximum_table, report, write
 from orchestrator.studies.convergence.convergence_study import (
     SETTINGS,
     ConvergenceStudy,
@@ -76,7 +75,7 @@ def main() -> None:
     systems = build(FOLDER)
     study = manipulator(systems["rates"])
     print("\n".join(maximum_table(study, "position").lines()))
-    print_convergence(study, FOLDER)
+    print(report(study).text(), *write(study, FOLDER), sep="\n")
     print(beside_the_published(systems, FOLDER / "steps.png"))
 
 

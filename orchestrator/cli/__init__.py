@@ -7,50 +7,28 @@ file of the command that is called is imported, so that it starts fast.
 from importlib import import_module
 from typing import Any
 
-COMMANDS = (  # in the order of the help
-    *(
-        "build",
-        "crane",
-        "modelica",
-        "variants",
-        "parameters",
-        "signals",
-        "check",
-        "run",
-        "validate",
-        "compare",
-    ),
-    *(
-        "plot",
-        "energy",
-        "reference",
-        "convergence",
-        "rig",
-        "describe",
-        "identify",
-        "diagnose",
-        "track",
-        "linearize",
-        "sweep",
-        "view",
-        "page",
-    ),
-)
-FILES = {  # of commands in files of another name
-    **dict.fromkeys(("variants", "parameters", "signals"), "lists"),
-    **dict.fromkeys(("validate", "compare", "plot", "energy"), "results"),
-    **dict.fromkeys(("reference", "linearize"), "run"),
-    **dict.fromkeys(("convergence", "track", "sweep"), "studies"),
-    **{"rig": "identify", "describe": "identify", "page": "view"},
+FILES = {  # of this folder -> commands, in the order of the help
+    "build": "build",
+    "crane": "crane",
+    "modelica": "modelica",
+    "lists": "variants parameters signals",
+    "check": "check",
+    "run": "run reference linearize",
+    "results": "validate compare plot energy",
+    "studies": "convergence sweep track",
+    "identify": "rig describe identify",
+    "diagnose": "diagnose",
+    "view": "view page",
 }
+COMMANDS = {command: file for file, commands in FILES.items() for command in commands.split()}
 
 
 def application(command: str = "") -> Any:
     """The application with the commands of one file, or with all of them if there is no such command."""
-    for name in [command] if command in COMMANDS else COMMANDS:
-        import_module(f"orchestrator.cli.{FILES.get(name, name)}")
+    for file in [COMMANDS[command]] if command in COMMANDS else FILES:
+        import_module(f"orchestrator.cli.{file}")
     app = import_module("orchestrator.cli.options").app
-    app.registered_commands.sort(key=lambda made: COMMANDS.index(made.callback.__name__))
+    app.registered_commands.sort(key=lambda made: [*COMMANDS].index(made.callback.__name__))
     return app
 
 

@@ -97,12 +97,13 @@ def compare(
     """
     from orchestrator.base.files import make_folder
     from orchestrator.results.comparison import compare as compare_traces
-    from orchestrator.results.comparison_report import text, write
+    from orchestrator.results.comparison_report import report, write
 
     comparison = compare_traces(traces, against=against, signals=signals or (), start=start, stop=stop)
     make_folder(out)
-    page, picture, numbers = write(comparison, out)
-    print(f"{text(comparison)}\n\npage: {page}\npicture: {picture}\nnumbers: {numbers}")
+    made = report(comparison)
+    page, picture, numbers = write(comparison, out, made)
+    print(f"{made.text()}\n\npage: {page}\npicture: {picture}\nnumbers: {numbers}")
 
 
 @command

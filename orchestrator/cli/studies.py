@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Unpack
+from typing import Annotated, Unpack
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.options import Kind, Patterns, Sets, Swaps, Values
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, command, system_file, tell_built
 from orchestrator.engine.arguments import CaseArguments
-
-if TYPE_CHECKING:
-    from orchestrator.studies.convergence.convergence_study import ConvergenceStudy
 
 
 @command
@@ -45,19 +42,12 @@ def convergence(
     """
     require("sweep", "harvester convergence", "scipy")
     from fmus.package_files import data
-    from orchestrator.studies.convergence.convergence_study import convergence as study
+    from orchestrator.studies.convergence import convergence_study as study
 
     file, work_cycle = system_file(system), data("reference/work_cycle.csv")
     tell_built(file, {})
-    given = (file, reference, out, steps, masters, signals or (), repeats, work_cycle)
-    study(*given, print_convergence, scenario, **options)
-
-
-def print_convergence(study: ConvergenceStudy, out: Path) -> None:
-    """Print the tables and notes of a study, write its files."""
-    from orchestrator.studies.convergence.convergence_report import report, write
-
-    print("\n".join([report(study).text(), "", *map(str, write(study, out))]))
+    chosen = study.read_steps(steps), study.items(masters), signals or (), repeats
+    study.convergence(file, out, *chosen, reference, work_cycle, scenario, **options)
 
 
 PATHS = ("line", "square")
@@ -205,10 +195,15 @@ def sweep(
     with parameter_study.progress() as watch:
         results = run(chosen, folder, watch=watch)
     table = results.table
-    print(parameter_study.summary(results))
-    print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")
-    if not no_report:
+    if no_report:
+        from orchestrator.studies.analysis.output_samples import counts
+
+        print(counts(results))
+    else:
         from orchestrator.studies.report import study_page
 
-        print(f"report: {study_page.report(folder)}")
+        print(study_page.write(folder, results).text())
+    print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")
+    if not no_report:
+        print(f"report: {folder / study_page.PAGE}")
     return not table["status"].isin((Status.FAILED, Status.NOT_RELIABLE)).all()

@@ -63,28 +63,15 @@ UNSTABLE = 50.0  # error over the accuracy from which a step is taken for unstab
 MOST_DIVISIONS = 10.0  # of a step, or of a tolerance, between two runs
 MOST_POWER = 4  # of GOLDEN, by which a step without an estimate is divided
 JUMP, LEAST_JUMP = 10.0, 0.01  # change of a signal over that of the steps around it, and over its range
+# By whether a master repeats steps, as hermite: largest estimated error that is accepted, over the accuracy,
+# because estimates are not exact, and the order with which it decreases with the step. Where hermite is not
+# accurate enough, cavities and friction limit the order.
+ACCEPTED, ORDER = {False: 0.6, True: 0.5}, {False: 3.0, True: 2.0}
+AIM = 0.35  # error that a further run aims at, over the accuracy
 # The ratio of two steps that ratios of whole numbers approximate worst: no period divides both.
 GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0
 # Looks at sources in a step over GOLDEN; fewer if they tell their slopes, or for more than MOST_LOOKS in all.
 LOOKS, LOOKS_WITH_SLOPES, MOST_LOOKS = 10, 2, 10**6
-
-
-@dataclass(frozen=True)
-class Experience:
-    """What is known of the errors of a master.
-
-    accepted   largest estimated error that is accepted, over the accuracy: estimates are not exact
-    aim        error that a further run aims at, over the accuracy
-    order      with which the error decreases with the step
-    """
-
-    accepted: float
-    aim: float
-    order: float
-
-
-EXTRAPOLATING = Experience(0.6, 0.35, 3.0)
-HERMITE = Experience(0.5, 0.35, 2.0)  # where it is not accurate enough, cavities and friction limit the order
 
 
 @dataclass(frozen=True)
@@ -103,9 +90,9 @@ class Settings:
         return f"{self.coupling.text}, {step}"
 
     @property
-    def experience(self) -> Experience:
-        """That with the master."""
-        return HERMITE if self.coupling.method.repeats else EXTRAPOLATING
+    def repeats(self) -> bool:
+        """Does the master repeat steps?"""
+        return self.coupling.method.repeats
 
 
 class AccuracySearch:
@@ -201,7 +188,7 @@ class AccuracySearch:
             return False
         inside = INSIDE * self.settings.tolerance
         self._error = math.hypot(max(errors, default=0.0), inside)
-        return self._error <= self.settings.experience.accepted * self.accuracy
+        return self._error <= ACCEPTED[self.settings.repeats] * self.accuracy
 
     def _errors(self, result: Result) -> list[float] | None:
         """The errors of the signals that decide, without an estimate as at order 1; None: unknown."""
@@ -259,9 +246,9 @@ class AccuracySearch:
 
     def _next(self, error: float) -> None:
         """Change the settings after a run with this error."""
-        last, excess, known = self.settings, error / self.accuracy, self.settings.experience
+        last, excess = self.settings, error / self.accuracy
         if last.coupling.adaptive is not None:
-            ratio = within(known.aim / excess, 1.0 / MOST_DIVISIONS, 0.5)
+            ratio = within(AIM / excess, 1.0 / MOST_DIVISIONS, 0.5)
             self.settings = self._adaptive(last.coupling.adaptive * ratio)
             return
         assert last.step is not None
@@ -273,24 +260,23 @@ class AccuracySearch:
         if unstable and adapts and not self._has_rate_wires:  # equal steps would have to be very short
             self.settings = self._adaptive(FIRST_TOLERANCE * self.accuracy)
             return
-        ratio = within((known.aim / excess) ** (1.0 / known.order), 1.0 / MOST_DIVISIONS, 0.8)
+        ratio = within((AIM / excess) ** (1.0 / ORDER[last.repeats]), 1.0 / MOST_DIVISIONS, 0.8)
         ratio = 0.5 if unstable else ratio
-        if adapts and (known is HERMITE or ratio * last.step < self._sources.base):
+        if adapts and (last.repeats or ratio * last.step < self._sources.base):
             self.settings = self._adaptive(FIRST_TOLERANCE * self.accuracy)
             return
-        coupling = last.coupling if known is HERMITE or jumping else self._guarded(FURTHER)
+        coupling = last.coupling if last.repeats or jumping else self._guarded(FURTHER)
         if coupling.guard and last.coupling.guard and last.coupling.order == FURTHER.order:
             coupling = replace(coupling, guard=last.coupling.guard * ratio**2)
         self.settings = Settings(coupling, ratio * last.step, self._tolerance)
 
     def _ratio(self, excess: float) -> float:
         """Of a step to the next one without an estimate, a power of GOLDEN; excess: error over accuracy."""
-        known = self.settings.experience
-        if known is not HERMITE:  # of order 1, which two steps close to each other would not show
+        if not self.settings.repeats:  # of order 1, which two steps close to each other would not show
             return GOLDEN**2
         if excess == math.inf:
             return GOLDEN
-        power = math.log(excess / known.aim) / math.log(GOLDEN) / known.order
+        power = math.log(excess / AIM) / math.log(GOLDEN) / ORDER[True]
         return math.pow(GOLDEN, within(math.ceil(power), 1, MOST_POWER))
 
     def _adaptive(self, tolerance: float) -> Settings:

@@ -17,19 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from ctypes import c_double
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.interrupts import of_user
-from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME
 from orchestrator.engine.network import Network
-from orchestrator.fmi.calls import Call, Slave, calls_by_type
+from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.ssp.masters import Master
-from orchestrator.ssp.system import Connection
 
 
 class Components(dict[str, Slave]):
@@ -38,7 +36,6 @@ class Components(dict[str, Slave]):
     def __init__(self, network: Network) -> None:
         super().__init__(network.slaves)
         self._network, self._reached = network, dict.fromkeys(network.slaves, -np.inf)
-        self._sending = cache(self._sends)
         for name, slave in network.slaves.items():
             slave.step = partial(self._step, name, slave.step)  # type: ignore[method-assign]
             if isinstance(slave, RunningFmu):
@@ -49,8 +46,11 @@ class Components(dict[str, Slave]):
 
     def send(self, name: str) -> None:
         """Set the inputs that the outputs of one component feed."""
-        for call in self._sending(self[name].name):
-            call()
+        source = self[name]
+        for c in (c for c in self._network.connections if c.source.component == source.name):
+            target, variable = self[c.target.component], c.target.variable
+            value = c.carried(source.get(c.source.variable), target.interface.variables[variable])
+            target.set(variable, value)
 
     def exchange(self, time: float) -> None:
         """Set all connected inputs in the order of their dependence, as the engine does at a point [s]."""
@@ -78,29 +78,3 @@ class Components(dict[str, Slave]):
 
     def _refuse(self, name: str) -> None:
         raise Problem(f"{name}: close: expected to leave this to the run, which closes it at the end")
-
-    def _sends(self, name: str) -> list[Call]:
-        """Calls that read the connected outputs of a component, and set the inputs that they feed."""
-        slaves, calls = self._network.slaves, list[Call]()
-        wires = [c for c in self._network.connections if c.source.component == name]
-        for target in dict.fromkeys(c.target.component for c in wires):
-            of_target = [c for c in wires if c.target.component == target]
-            real = [c for c in of_target if self._network.system.variable(c.source).is_real]
-            read, sent = np.zeros((2, len(real)))
-            factor, offset = np.array([[c.map.factor, c.map.offset] for c in real]).reshape(-1, 2).T
-            calls += calls_by_type(slaves[name], [c.source.variable for c in real], read, slaves[name].reader)
-            calls.append(partial(_transform, read, factor, offset, sent))
-            writer = slaves[target].writer
-            calls += calls_by_type(slaves[target], [c.target.variable for c in real], sent, writer)
-            calls += [partial(self._carry, c) for c in of_target if c not in real]
-        return calls
-
-    def _carry(self, c: Connection) -> None:
-        """Copy one value that is no floating-point number."""
-        value = self[c.source.component].get(c.source.variable)
-        to = self[c.target.component]
-        to.set(c.target.variable, c.carried(value, to.interface.variables[c.target.variable]))
-
-
-def _transform(values: Array, factor: Array, offset: Array, into: Array) -> None:
-    into[:] = values * factor + offset

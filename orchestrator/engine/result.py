@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -274,40 +274,48 @@ class SignalError:
         return self.rms * span / max(span, LEAST_RANGE * abs(nominal or 0.0)) if span else 0.0
 
 
-@dataclass(frozen=True, repr=False)
-class Card:
-    """The accuracy card of one run: speed, energy errors, error estimates, notes and warnings. Times in [s].
+@dataclass(frozen=True, kw_only=True)
+class RunFigures:
+    """What the accuracy card and the metadata of a run have in common. Times in [s].
 
     step          communication step, of adaptive runs the mean
-    record_step   0: every communication point
     steps         number of accepted steps
     passes        number of passes over the components in accepted steps
     repeated      number of rejected steps
     lengths       shortest and longest step
-    adaptive      tolerance of an adaptive run; None: all steps are equal
     unreliable    why the result is not reliable, also in `warnings`; empty if it is
     inside        component -> wall time in its steps; the remaining wall time is coupling and recording
-    errors        of signals; errors_of_inputs: estimated during the run, else changes in further runs
-    events        of FMUs
     """
 
     master: str
     step: float
-    record_step: float
-    steps: int
-    simulated: float
-    wall: float
-    bonds: tuple[BondEnergy, ...] = ()
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    errors: tuple[SignalError, ...] = field(default=())
+    simulated: float = 0.0
+    wall: float = 0.0
     inside: Mapping[str, float] = field(default_factory=dict)
+    steps: int = 0
     passes: int = 0
     repeated: int = 0
     lengths: tuple[float, float] = (0.0, 0.0)
+    warnings: tuple[str, ...] = ()
+    unreliable: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Card(RunFigures):
+    """The accuracy card of one run: speed, energy errors, error estimates, notes and warnings.
+
+    record_step   [s]; 0: every communication point
+    adaptive      tolerance of an adaptive run; None: all steps are equal
+    errors        of signals; errors_of_inputs: estimated during the run, else changes in further runs
+    events        of FMUs
+    """
+
+    record_step: float = 0.0
+    bonds: tuple[BondEnergy, ...] = ()
+    notes: tuple[str, ...] = ()
+    errors: tuple[SignalError, ...] = field(default=())
     adaptive: float | None = None
     errors_of_inputs: bool = False
-    unreliable: tuple[str, ...] = ()
     events: tuple[Event, ...] = ()
 
     def doubted(self, *reasons: str) -> Card:
@@ -541,43 +549,29 @@ def _error_row(e: SignalError) -> list[str]:
     return [e.name, f"{e.change:.2e}", e.unit, f"{e.largest:.1e}", order]
 
 
-@dataclass(frozen=True)
-class RunMetadata:
-    """Metadata of one run, as written next to its trace. Times in [s].
+@dataclass(frozen=True, kw_only=True)
+class RunMetadata(RunFigures):
+    """Metadata of one run, as written next to its trace.
 
-    step, simulated, wall, inside        as in `Card`
-    steps, passes, repeated, lengths     as in `Card`
     coupling                             all choices about the coupling that have an effect, by name
     fmus                                 component -> model name of its FMU
     swapped                              component -> file of the FMU that replaces the one of the system
     given                                the user's options that differ from the defaults
     units                                units of the signals; `inputs`: signals that are inputs of components
     provenance                           files with checksums, values that differ from the shipped ones
-    warnings, unreliable                 those of the card
     sources                              signals of `inputs` that no other component with inputs computes
     nominals                             nominal values that the FMUs declare for the signals
     """
 
     system: str
-    master: str
-    step: float
-    simulated: float
-    wall: float
     complete: bool = True
     fmus: Mapping[str, str] = field(default_factory=dict)
     swapped: Mapping[str, str] = field(default_factory=dict)
     given: Mapping[str, Any] = field(default_factory=dict)
-    inside: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     inputs: tuple[str, ...] = ()
     coupling: Mapping[str, Any] = field(default_factory=dict)
-    steps: int = 0
-    passes: int = 0
-    repeated: int = 0
-    lengths: tuple[float, float] = (0.0, 0.0)
     provenance: Provenance = field(default_factory=Provenance)
-    warnings: tuple[str, ...] = ()
-    unreliable: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
     nominals: Mapping[str, float] = field(default_factory=dict)
 
@@ -585,13 +579,6 @@ class RunMetadata:
     def adaptive(self) -> bool:
         """Did the run have adaptive steps?"""
         return "adaptive" in self.coupling
-
-
-# members of a card that are metadata, too
-OF_CARD = (
-    *("master", "step", "simulated", "wall", "inside"),
-    *("steps", "passes", "repeated", "lengths", "warnings", "unreliable"),
-)
 
 
 def metadata(
@@ -606,7 +593,7 @@ def metadata(
     ports = [p for p in (*system.ports("output"), *inputs) if str(p) in signals.names]
     return RunMetadata(
         system=str(system.source.path if system.source else system.name),
-        **{name: getattr(card, name) for name in OF_CARD},
+        **{entry.name: getattr(card, entry.name) for entry in fields(RunFigures)},
         complete=result.complete,
         fmus={c.name: c.interface.identifier for c in system.components.values()},
         swapped={c.name: str(c.source) for c in system.components.values() if c.replaced},

@@ -17,7 +17,7 @@ from orchestrator.engine.scenario import ScenarioSource, drive, read_scenario
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
-from orchestrator.linear.steady_state import find_steady_state, moving_positions
+from orchestrator.linear.steady_state import find_steady_state
 from orchestrator.ssp.load import configured
 from orchestrator.ssp.plausible import doubtful_starts, doubts_told, with_doubts
 from orchestrator.ssp.provenance import built_notes
@@ -151,10 +151,9 @@ def linearize(
             plant.settle(plant.x.copy(), plant.u)
         else:
             settle_at_time(plant, full.with_start(start_values), scenario, time, step)
-        if steady:
-            notes += find_steady_state(plant, speeds)
-        model = _result(plant, ports, start if time is None else time, notes)
-        return replace(model, moving=moving_positions(plant, speeds)) if speeds else model
+        told, moving = find_steady_state(plant, speeds) if steady else ((), ())
+        model = _result(plant, ports, start if time is None else time, notes + told)
+        return replace(model, moving=moving)
     finally:
         plant.close()
 

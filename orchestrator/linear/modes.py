@@ -15,21 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.text import short_names
-from orchestrator.base.units import DeclaredUnit
+from orchestrator.base.units import DeclaredUnit, parse_unit
 from orchestrator.data.table import Array
 
 # Main states: the fewest with this sum of participation factors, up to this number.
 MAIN_PARTICIPATION, MAIN_COUNT = 0.8, 4
 MIN_PARTICIPATION = 0.04  # smallest participation factor of a main state
 MIN_KIND_PARTICIPATION = 0.12  # smallest participation of a quantity that influences the name
-KINDS = {  # exponents of kg, m, s -> quantity, without the radian
-    (0, 1, 0): "position",
-    (0, 1, -1): "speed",
-    (1, -1, -2): "pressure",
-    (0, 3, -1): "flow",
-    (0, 3, 0): "volume",
-}
-ROTATION_KINDS = {0: "position", -1: "speed"}  # exponent of s -> quantity, with the radian
+# quantity -> units of its kind, whose exponents tell it
+UNITS = {"position": "m rad", "speed": "m/s rad/s", "pressure": "Pa", "flow": "m3/s", "volume": "m3"}
+KINDS = {parse_unit(unit).exponents: kind for kind, units in UNITS.items() for unit in units.split()}
 QUANTITIES = {"angle", "flow", "position", "pressure", "speed", "velocity", "volume"}
 MOTION = {"position", "speed"}
 OIL = {"pressure", "flow"}
@@ -61,14 +56,7 @@ def mode_name(
 
 def quantity_kind(unit: DeclaredUnit | None) -> str:
     """The quantity that has a unit; empty if unknown."""
-    if unit is None or unit.exponents is None:
-        return ""
-    *base, radian = unit.exponents
-    if any(base[3:]):
-        return ""
-    if radian == 1 and not any(base[:2]):
-        return ROTATION_KINDS.get(base[2], "")
-    return KINDS.get((base[0], base[1], base[2]), "")
+    return KINDS.get(unit.exponents, "") if unit and unit.exponents else ""
 
 
 def _main_states(participation: Array) -> list[int]:

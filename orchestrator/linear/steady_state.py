@@ -268,8 +268,10 @@ SETTLE_HINT = "use a time of a run instead, with --time"
 METRE, RADIAN = (tuple(int(b == base) for b in BASES) for base in ("m", "rad"))
 
 
-def find_steady_state(plant: CutPlant, speeds: Mapping[str, float] | None = None) -> tuple[str, ...]:
-    """Bring the plant into a steady state, with `speeds` of joints by name; return notes."""
+def find_steady_state(
+    plant: CutPlant, speeds: Mapping[str, float] | None = None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Bring the plant into a steady state, with `speeds` of joints by name; notes, positions that move."""
     speeds = speeds or {}
     for name, value in speeds.items():
         if not math.isfinite(value):
@@ -287,13 +289,8 @@ def find_steady_state(plant: CutPlant, speeds: Mapping[str, float] | None = None
         worst = search.worst()
         hint = "use lower speeds" if any(speeds.values()) else SETTLE_HINT
         raise Problem(f"no steady state found with {conditions or 'all free'}: {worst} still changes; {hint}")
-    return _notes(plant, joints, idle, search.free)
-
-
-def moving_positions(plant: CutPlant, speeds: Mapping[str, float]) -> tuple[str, ...]:
-    """The positions of the joints whose speed is not zero."""
-    joints = _joints(plant, plant.matrices())
-    return tuple(str(plant.states[joints[name].position]) for name, speed in speeds.items() if speed)
+    moving = tuple(str(plant.states[joints[name].position]) for name, speed in speeds.items() if speed)
+    return _notes(plant, joints, idle, search.free), moving
 
 
 def _joints(plant: CutPlant, m: Matrices) -> dict[str, HeldJoint]:

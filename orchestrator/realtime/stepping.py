@@ -1,7 +1,7 @@
 """The process that steps a machine in real time: it reads commands and writes frames, each by its deadline.
 
-In each frame the command is read (`CommandWatchdog`) and limited to what each axis may do (`RestDelay`,
-`RateLimiter`). The inputs move linearly to the command while `FrameStepper` makes the communication steps.
+In each frame the command is read (`CommandWatchdog`) and limited to what each axis may do
+(`RateLimiter`). The inputs move linearly to the command while `FrameStepper` makes the communication steps.
 Loop, masters and FMUs are those of `run`: a scenario with a row at each frame gives bit-equal results.
 """
 
@@ -74,7 +74,7 @@ def _loop(
 ) -> None:
     """Make one frame after the other, each when it is due, until the parent ends."""
     setup, clock, number = task.setup, DeadlineClock(), task.first
-    limiter, rest_delay = RateLimiter(setup.axes, setup.frame), RestDelay(setup.axes, setup.frame)
+    limiter = RateLimiter(setup.axes, setup.frame)
     nothing = np.full(len(setup.axes), np.nan)
     command = Command(False, 1.0, 0, nothing)
     watchdog, running = CommandWatchdog(nothing, setup.timeout, task.serial), False
@@ -92,8 +92,7 @@ def _loop(
             shared.set_state(State.RUNNING if running else State.PAUSED, json.dumps(details))
             clock.begin(length)
         elif running:
-            now = stepper.axes
-            stepper.advance(limiter.toward(now, rest_delay.delayed(now, commanded)))
+            stepper.advance(limiter.toward(stepper.axes, commanded))
             number += 1
             shared.write_frame(number, stepper.t, stepper.axes, stepper.values)
             _publish(shared, number, clock, began, length)
@@ -154,7 +153,7 @@ class CommandWatchdog:
 
 
 class RateLimiter:
-    """Keeps each axis within its limit and its rate of change.
+    """Keeps each axis within its limit and its rate of change; one without a command rests after its delay.
 
     rest   values without a command, shape (axes,)
     """
@@ -164,27 +163,16 @@ class RateLimiter:
         self.rest = np.array([axis.rest for axis in axes], dtype=np.float64)
         self._limit = np.array([axis.limit for axis in axes], dtype=np.float64)
         self._reach = frame * np.array([axis.rate for axis in axes], dtype=np.float64)
+        self._delay = np.array([round(axis.rest_delay / frame) for axis in axes])  # in frames
+        self._left = np.zeros_like(self._delay)
 
     def toward(self, now: Array, commanded: Array) -> Array:
-        """Values one frame after `now`, moved towards `commanded`, or to rest where that is NaN."""
-        target = np.where(np.isnan(commanded), self.rest, commanded)
+        """Values one frame after `now`, moved towards `commanded`; NaN: no command. Called once per frame."""
+        resting = np.isnan(commanded)
+        self._left = np.where(resting, np.maximum(self._left - 1, -1), self._delay)
+        target = np.where(resting, np.where(self._left >= 0, now, self.rest), commanded)
         move = np.clip(np.clip(target, -self._limit, self._limit) - now, -self._reach, self._reach)
         return np.clip(now + move, -self._limit, self._limit)
-
-
-class RestDelay:
-    """Holds the value of each axis without a command for its `rest_delay`; a command is obeyed at once."""
-
-    def __init__(self, axes: Sequence[Axis], frame: float) -> None:
-        """frame: [s]"""
-        self._frames = np.array([round(axis.rest_delay / frame) for axis in axes])
-        self._left = np.zeros_like(self._frames)
-
-    def delayed(self, now: Array, commanded: Array) -> Array:
-        """Commanded values of this frame. Call it once per frame."""
-        resting = np.isnan(commanded)
-        self._left = np.where(resting, np.maximum(self._left - 1, -1), self._frames)
-        return np.where(resting & (self._left >= 0), now, commanded)
 
 
 class LatestValues(TraceSink):

@@ -360,11 +360,14 @@ def _runs(comparison: Comparison) -> TextTable:
     return TextTable(["run", "file", "system", "settings"], rows, left=(0, 1, 2, 3))
 
 
-def write(comparison: Comparison, folder: str | Path) -> tuple[Path, Path, Path]:
-    """Write comparison.html, comparison.png and comparison.json to a folder; returns the three."""
+def write(comparison: Comparison, folder: str | Path, made: Report | None = None) -> tuple[Path, Path, Path]:
+    """Write comparison.html, comparison.png and comparison.json to a folder; returns the three.
+
+    made   the report of the comparison, if there is one
+    """
     from orchestrator.pages.plotting import png
 
-    page, numbers = report(comparison).write(Path(folder) / "comparison.html")
+    page, numbers = (made or report(comparison)).write(Path(folder) / "comparison.html")
     return page, write_whole(page.with_suffix(".png"), png(draw(comparison))), numbers
 
 

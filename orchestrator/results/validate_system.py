@@ -532,7 +532,7 @@ def monolithic_recording(
         kind="simulation",
         criteria=criteria,
         metadata={
-            "title": "Monolithic solution of the FMUs" if monolithic else "Co-simulation with a small step",
+            "title": "Monolithic solution of the FMUs" if monolithic else "Co-simulation with a small error",
             "kind": "simulation of the same FMUs",
             "solver": solved.card.master,
         },

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite
+from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
@@ -16,16 +17,16 @@ from orchestrator.base.files import find
 from orchestrator.base.toml import quote_key
 from orchestrator.base.units import factor_and_offset
 from orchestrator.data.table import READABLE
-from orchestrator.data.trace import Trace, read_trace, rounding
+from orchestrator.data.trace import rounding
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
-from orchestrator.engine.arguments import DEFAULT_ACCURACY, RunArguments
+from orchestrator.engine.arguments import DEFAULT_ACCURACY
+from orchestrator.engine.job import Job
 from orchestrator.engine.run import chooses_freely, run
-from orchestrator.engine.scenario import drive
-from orchestrator.engine.time_grid import Grid, grid
+from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.description import Value
-from orchestrator.ssp.coupling import Coupling, Suggestion
+from orchestrator.ssp.coupling import Suggestion
 from orchestrator.ssp.load import configured
-from orchestrator.ssp.plausible import doubtful, doubtful_columns, doubtful_starts, refuse_long
+from orchestrator.ssp.plausible import doubtful
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 from orchestrator.studies.study import Factor, Output, Study
 
@@ -47,71 +48,66 @@ class Sample:
 Unit = tuple[Sample, ...]  # samples that are run together: one, or a group in lanes with the same options
 
 
-@dataclass(frozen=True)
-class StudyCase:
-    """The system and scenario of one combination of options, with the values that do not vary.
-
-    tolerance   of the FMUs; None: their own
-    """
-
-    system: System
-    scenario: Trace | None
-    tolerance: float | None = None
-
-
-def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
-    """The study with all values in the units of the FMUs, and a case for each combination of options.
+def resolve(study: Study) -> tuple[Study, dict[Options, Job]]:
+    """The study with all values in the units of the FMUs, and the run of each combination of options.
 
     Raises a Problem if the study is impossible for its systems.
     """
     with study.located():
         study.check()
-        cases = prepared_cases(study)
-        systems = [case.system for case in cases.values()]
+        system = configured(study.system_file, cut=study.options.get("cut", ()))
+        system = system.coupled(study.coupling) if study.coupling else system
+        cases = {o: _case(study, system, o) for o in product(*(c.options for c in study.choices))}
+        systems = [system for system, _ in cases.values()]
         fixed = {name: _fixed(systems, name, value) for name, value in study.fixed.items()}
         factors = tuple(_factor(systems, factor) for factor in study.factors)
         outputs = tuple(_output(systems, output) for output in study.outputs)
         study = replace(study, fixed=fixed, factors=factors, outputs=outputs)
-        for options, case in cases.items():
-            _check_not_driven(study, options, case)
-            _check_set_once(study, case)
-            for factor in study.factors:
-                if case.system.has(factor.name):
-                    case.system.check_sets_all(factor.name, factor.key)
-            for name, value in study.fixed.items():
-                if case.system.has(name):
-                    _check_inside(case.system, name, f"fixed: {name}", value)
-        for options, case in cases.items():
-            known = {name: value for name, value in fixed.items() if case.system.has(name)}
-            start = {name: v if is_real(case.system, name) else int(v) for name, v in known.items()}
-            cases[options] = replace(case, system=case.system.with_start(start))
-            _check_limits(study, cases[options].system)
-        cases = {o: _accurate(study, case) for o, case in cases.items()}
-        _check_windows(study, cases.values())
-    return study, cases
+        for system in systems:
+            _check_set_once(study, system)
+            for factor in (f for f in study.factors if system.has(f.name)):
+                system.check_sets_all(factor.name, factor.key)
+            for name, value in fixed.items():
+                if system.has(name):
+                    _check_inside(system, name, f"fixed: {name}", value)
+        for options, (system, scenario) in cases.items():
+            known = {name: value for name, value in fixed.items() if system.has(name)}
+            start = {name: v if is_real(system, name) else int(v) for name, v in known.items()}
+            cases[options] = system.with_start(start), scenario
+            _check_limits(study, cases[options][0])
+        jobs = {options: _job(study, *case) for options, case in cases.items()}
+        for options, job in jobs.items():
+            _check_not_driven(study, options, job)
+        _check_windows(study, [job.times for job in jobs.values()])
+    return study, jobs
 
 
-def prepared_cases(study: Study) -> dict[Options, StudyCase]:
-    """A case for every combination of options, with the master of the study, but without its fixed values."""
-    system = configured(study.system_file, cut=study.options.get("cut", ()))
-    system = system.coupled(study.coupling) if study.coupling else system
-    return {o: _case(study, system, o) for o in product(*(c.options for c in study.choices))}
-
-
-def _case(study: Study, system: System, options: Options) -> StudyCase:
+def _case(study: Study, system: System, options: Options) -> tuple[System, Path | None]:
+    """The system and the scenario of a combination of options, without the fixed values of the study."""
     chosen: dict[str, Any] = {c.name: option for c, option in zip(study.choices, options, strict=True)}
     for name, option in chosen.items():
         if name == SCENARIO or option.lower().endswith((".ssv", ".fmu")):
             chosen[name] = find(option, (*READABLE, ".ssv", ".fmu"), study.folder)
     scenario = chosen.pop(SCENARIO, None)
     sets = [chosen.pop(PARAMETERS)] if PARAMETERS in chosen else []
-    system = configured(system, swap=chosen, parameters=sets)
-    trace = None if scenario is None else read_trace(scenario)
-    if trace is not None:
-        drive(system, trace, str(scenario))
-        if study.stop is None:
-            refuse_long(system, trace, str(scenario))
-    return StudyCase(system, trace)
+    return configured(system, swap=chosen, parameters=sets), scenario
+
+
+def _job(study: Study, system: System, scenario: Path | None) -> Job:
+    """The run at the fixed values; coupling, step and tolerance are accurate enough for the study."""
+    accuracy, ports = study.accuracy, [str(signal(system, o.signal)) for o in study.outputs]
+    options: dict[str, Any] = {"stop": study.stop, "record_step": study.record_step}
+    tolerance = None
+    if accuracy is None and chooses_freely(system, study.step, study.coupling):
+        accuracy = DEFAULT_ACCURACY["sweep"]
+    if accuracy is not None:
+        decisive = sorted({*decisive_signals(system, ["*"])} & {*ports})
+        result = run(system, scenario, accuracy=accuracy * SAFETY, accuracy_of=decisive, **options)
+        step = result.card.step if result.coupling.adaptive is None else None
+        system = replace(system, suggestion=Suggestion(result.coupling, step))
+        tolerance = fmu_tolerance(accuracy * SAFETY)
+    record = list(dict.fromkeys(ports))
+    return Job.of(system, scenario, {**options, "step": study.step, "record": record, "tolerance": tolerance})
 
 
 # ---- names
@@ -234,28 +230,26 @@ def _output(systems: Sequence[System], output: Output) -> Output:
 # ---- checks
 
 
-def _check_not_driven(study: Study, options: Options, case: StudyCase) -> None:
+def _check_not_driven(study: Study, options: Options, job: Job) -> None:
     """Refuse a fixed value or factor of an input that the scenario drives: it would have no effect."""
-    if case.scenario is None:
-        return
-    driven = drive(case.system, case.scenario).columns
+    driven = job.scenario.columns if job.scenario else {}
     for name in (*study.fixed, *(f.name for f in study.factors)):
-        if any(port in driven for port in ports(case.system, name)):
+        if any(port in driven for port in ports(job.system, name)):
             where = f"{', '.join(options)}: the scenario drives {name}"
             raise Problem(f"choices: {where}, so this input cannot be fixed or a factor")
 
 
-def _check_set_once(study: Study, case: StudyCase) -> None:
+def _check_set_once(study: Study, system: System) -> None:
     """Refuse a variable that is set twice; only a relative factor may refer to a fixed value."""
-    absolute = {port for f in study.factors if not f.relative for port in ports(case.system, f.name)}
+    absolute = {port for f in study.factors if not f.relative for port in ports(system, f.name)}
     seen: dict[Port, str] = {}
     for name in (f.name for f in study.factors):
-        for port in ports(case.system, name):
+        for port in ports(system, name):
             if port in seen:
                 raise Problem(f"factors: expected one that sets {port}, got {seen[port]} and {name}")
             seen[port] = name
     for name in study.fixed:
-        for port in ports(case.system, name):
+        for port in ports(system, name):
             if port in absolute:
                 same = "" if seen[port] == name else f", which sets {port} as factors.{seen[port]} does"
                 raise Problem(f"fixed: {name}: expected another variable than the factors{same}")
@@ -274,19 +268,16 @@ def _check_limits(study: Study, system: System) -> None:
             _check_inside(system, factor.name, f"{factor.key}: {key}", number * scale, remark)
 
 
-def doubts(study: Study, cases: Mapping[Options, StudyCase]) -> tuple[str, ...]:
+def doubts(study: Study, jobs: Iterable[Job]) -> tuple[str, ...]:
     """Doubtful fixed values, factors and scenarios of a study in the units of its FMUs, each once."""
     told: list[str] = []
-    for options, case in cases.items():
-        told += doubtful_starts(case.system)
-        for factor in (f for f in study.factors if case.system.has(f.name)):
-            scale = nominals(study, case.system)[factor.name]
-            for port, linear in case.system.targets(factor.name):
+    for system in (job.system for job in jobs):
+        told += system.warnings
+        for factor in (f for f in study.factors if system.has(f.name)):
+            scale = nominals(study, system)[factor.name]
+            for port, linear in system.targets(factor.name):
                 values = [linear(number * scale) for _, number in _checked_numbers(factor)]
-                told.append(doubtful(case.system, port, values, f"{factor.key}: {port}"))
-        if case.scenario is not None:
-            columns, label = drive(case.system, case.scenario).columns, " ".join(("scenario", *options))
-            told += doubtful_columns(case.system, case.scenario, columns, label)
+                told.append(doubtful(system, port, values, f"{factor.key}: {port}"))
     return tuple(dict.fromkeys(filter(None, told)))
 
 
@@ -302,30 +293,8 @@ def _check_inside(system: System, name: str, where: str, value: float, remark: s
         check_bounds(where, system.variable(port), conversion(value), remark)
 
 
-def _accurate(study: Study, case: StudyCase) -> StudyCase:
-    """The case with coupling, step and tolerance that are accurate enough for the signals of the study."""
-    system, accuracy = case.system, study.accuracy
-    if accuracy is None and chooses_freely(system, study.step, study.coupling):
-        accuracy = DEFAULT_ACCURACY["sweep"]
-    if accuracy is None:
-        return case
-    outputs = set(decisive_signals(system, ["*"]))
-    signals = {str(signal(system, o.signal)) for o in study.outputs}
-    options: RunArguments = {"stop": study.stop, "record_step": study.record_step}
-    options |= {"accuracy": accuracy * SAFETY, "accuracy_of": sorted(signals & outputs)}
-    result = run(system, case.scenario, **options)
-    step = result.card.step if result.coupling.adaptive is None else None
-    system = replace(system, suggestion=Suggestion(result.coupling, step))
-    return replace(case, system=system, tolerance=fmu_tolerance(accuracy * SAFETY))
-
-
-def _check_windows(study: Study, cases: Iterable[StudyCase]) -> None:
+def _check_windows(study: Study, times: Sequence[Grid]) -> None:
     """Refuse a window that starts after the last run has ended, or that ends outside all runs."""
-    times = list[Grid]()
-    for case in cases:
-        coupling = case.system.coupling or Coupling()
-        coupling.check(case.system.components)
-        times.append(grid(case.system, case.scenario, study.step, None, study.stop, study.record_step))
     begin, end = min(t.start for t in times), max(t.stop for t in times)
     margin = max(float(rounding(t.stop, t.step)) for t in times)
     # A run ends at the communication point next to its stop time.

@@ -23,8 +23,9 @@ from scipy import stats
 from scipy.stats import qmc
 
 from orchestrator.data.table import Array
+from orchestrator.engine.job import Job
 from orchestrator.ssp.system import Port, coerce
-from orchestrator.studies.cases import Options, Sample, StudyCase, is_real, nominals, ports
+from orchestrator.studies.cases import Options, Sample, is_real, nominals
 from orchestrator.studies.study import START, Choice, Factor, Study, levels
 
 LEVELS = 4  # Morris levels, as in the paper: steps of two thirds of the range
@@ -118,7 +119,7 @@ def _index(u: Array, count: int) -> NDArray[np.intp]:
 # ---- the runs
 
 
-def runs(study: Study, table: pd.DataFrame, cases: Mapping[Options, StudyCase]) -> list[Sample]:
+def runs(study: Study, table: pd.DataFrame, cases: Mapping[Options, Job]) -> list[Sample]:
     """The runs of a study in the order of its table; relative numbers become values."""
     scales = {o: nominals(study, case.system) for o, case in cases.items()}
     integers = {o: {n for n in scales[o] if not is_real(case.system, n)} for o, case in cases.items()}
@@ -132,7 +133,7 @@ def runs(study: Study, table: pd.DataFrame, cases: Mapping[Options, StudyCase]) 
 
 
 def starts(
-    study: Study, cases: Mapping[Options, StudyCase], samples: Sequence[Sample]
+    study: Study, cases: Mapping[Options, Job], samples: Sequence[Sample]
 ) -> tuple[dict[str, pa.Array], dict[str, str]]:
     """Start values and parameter values of each run as columns, and their units.
 
@@ -164,11 +165,9 @@ def starts(
     return {name: pa.array(columns[name], types[name]) for name in columns}, units
 
 
-def _settable(case: StudyCase) -> list[Port]:
+def _settable(case: Job) -> list[Port]:
     """The variables of a case whose start value has an effect."""
     system = case.system
-    names = () if case.scenario is None else case.scenario.signals
-    driven = {c.target for c in system.connections}
-    driven |= {port for name in names for port in ports(system, name)}
+    driven = {c.target for c in system.connections}.union(case.scenario.columns if case.scenario else ())
     every = (Port(c.name, v.name) for c in system.components.values() for v in c.interface.variables.values())
     return [port for port in every if system.variable(port).settable and port not in driven]

@@ -1,4 +1,4 @@
-"""`harvester sweep`: run the missing runs of a parameter study, store the results, print a summary.
+"""`harvester sweep`: run the missing runs of a parameter study, and store the results.
 
 from orchestrator.studies import Factor, Output, Study, sweep
 
@@ -24,12 +24,11 @@ import pyarrow as pa
 from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
 from orchestrator.base.progress import Doing
-from orchestrator.base.text import TextTable, display_unit, grouped
+from orchestrator.base.text import grouped
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Status
 from orchestrator.lanes.many import archives_of, in_threads
 from orchestrator.studies import design, store
-from orchestrator.studies.analysis.output_samples import without_numbers
 from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
 from orchestrator.studies.runs import STORE_TIME, Payload, RunOutcome, StudyRuns
 from orchestrator.studies.study import Study, read
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 FOLDER = Path("build/sweeps")
-REASONS = 5  # of failures that are printed
 
 # all runs, finished runs, outcomes of the last batch
 Watch = Callable[[int, int, Sequence[RunOutcome]], None]
@@ -67,7 +65,7 @@ def prepare(study: Study) -> PreparedStudy:
     table = design.table(resolved)
     runs = design.runs(resolved, table, cases)
     payload = Payload(resolved, cases, archives_of(case.system for case in cases.values()))
-    return PreparedStudy(payload, table, runs, doubts(resolved, cases))
+    return PreparedStudy(payload, table, runs, doubts(resolved, cases.values()))
 
 
 def sweep(
@@ -180,37 +178,3 @@ def progress(stream: TextIO | None = None) -> Iterator[Watch]:
         yield watch
     finally:
         line.end()
-
-
-def summary(results: store.Results) -> str:
-    """Number of runs of each status, range of the outputs, and reasons of failures."""
-    counts = results.table["status"].value_counts()
-    words = (Status.OK, Status.NOT_RELIABLE, Status.EARLY, Status.FAILED)
-    statuses = ", ".join(f"{counts[status]} {status}" for status in words if status in counts)
-    valid, rows = results.table[results.table["status"] != Status.NOT_RELIABLE], []
-    for output in results.study.outputs:
-        column = valid[output.column]
-        unit = display_unit(output.unit, column.abs().max())
-        values = (f"{v * unit.factor:.5g}" for v in (column.min(), column.mean(), column.max()))
-        rows.append((output.name, *values, unit.display))
-    lines = TextTable(("output", "minimum", "mean", "maximum", "unit"), rows, left=(0, 4)).lines()
-    warnings = ["", *(f"warning: {w}" for w in results.warnings)] if results.warnings else []
-    return "\n".join([f"{len(results.table)} runs: {statuses}", "", *lines, *_reasons(results), *warnings])
-
-
-def _reasons(results: store.Results) -> list[str]:
-    """Failures, and runs that are not reliable, by reason.
-
-    Reasons that differ only in their numbers are one, shown by its first run.
-    """
-    status = results.table["status"]
-    reasons = results.table.loc[status.isin((Status.FAILED, Status.NOT_RELIABLE)), "reason"]
-    same = reasons.groupby(without_numbers(reasons), sort=False)
-    groups = sorted((group for _, group in same), key=len, reverse=True)
-    lines = []
-    for group in groups[:REASONS]:
-        example = ", such as" if group.nunique() > 1 else ""
-        lines.append(f"{len(group)} {status[group.index[0]]}{example}: {group.iloc[0]}")
-    if len(groups) > REASONS:
-        lines.append(f"... and for {len(groups) - REASONS} other reasons")
-    return ["", *lines] if lines else []

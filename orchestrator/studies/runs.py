@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,8 @@ from orchestrator.lanes.batch import machine_values, recorded_times
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Ended, Lanes, Status
 from orchestrator.lanes.many import Runs
-from orchestrator.studies.cases import Options, Sample, StudyCase, Unit, signal
+from orchestrator.ssp.system import System
+from orchestrator.studies.cases import Options, Sample, Unit, signal
 from orchestrator.studies.study import Output, Study
 
 NAN = float("nan")
@@ -46,10 +46,10 @@ def digest(data: bytes) -> str:
 
 @dataclass(frozen=True)
 class Payload:
-    """A study, its systems, and their FMUs, so that no file has to exist on the computer of a run."""
+    """A study, its runs without the values of a sample, and their FMUs: all that another computer needs."""
 
     study: Study
-    cases: Mapping[Options, StudyCase]
+    cases: Mapping[Options, Job]
     archives: Mapping[Location, bytes]
 
 
@@ -72,11 +72,14 @@ class StudyRuns:
     """The runs of a study on this computer: each in a process of its own, or several in lanes."""
 
     def __init__(self, payload: Payload) -> None:
-        systems = [case.system for case in payload.cases.values()]
-        self._study, self._runs = payload.study, Runs(systems, payload.archives)
+        self._study, limits = payload.study, limits_of(payload.study)
+        self._runs = Runs([job.system for job in payload.cases.values()], payload.archives)
         pairs = zip(payload.cases.items(), self._runs.systems, strict=True)
-        self._cases = {options: replace(case, system=system) for (options, case), system in pairs}
-        self._jobs, self._lanes = dict[Options, Job](), dict[Options, Lanes | None]()
+        self._jobs = {
+            options: replace(job, system=system, options={**job.options, **limits})
+            for (options, job), system in pairs
+        }
+        self._lanes = dict[Options, Lanes | None]()
         self.stop, self.close = self._runs.stop, self._runs.close
 
     def size(self, options: Options) -> int:
@@ -84,7 +87,7 @@ class StudyRuns:
         if options not in self._lanes:
             self._lanes[options] = None
             with suppress(Problem):
-                job = self._job(options)
+                job = self._jobs[options]
                 self._lanes[options] = Lanes(job, [job.system.port(n) for n in job.signals or ()])
         return LANES if self._lanes[options] else 1
 
@@ -99,27 +102,16 @@ class StudyRuns:
         wall = (time.perf_counter() - began) / len(unit)
         return [replace(outcome, wall=wall) for outcome in outcomes]
 
-    def _job(self, options: Options) -> Job:
-        """The job of a case, without the values of a sample."""
-        if options not in self._jobs:
-            study, case = self._study, self._cases[options]
-            record = list(dict.fromkeys(str(signal(case.system, o.signal)) for o in study.outputs))
-            chosen: dict[str, Any] = {n: getattr(study, n) for n in ("step", "stop", "record_step")}
-            job = Job.of(case.system, case.scenario, chosen | {"record": record, "tolerance": case.tolerance})
-            self._jobs[options] = replace(job, options={**job.options, **limits_of(study)})
-        return self._jobs[options]
-
     def _alone(self, sample: Sample) -> RunOutcome:
         """Run a sample; an error becomes its outcome."""
-        study, case = self._study, self._cases[sample.options]
+        study, job = self._study, self._jobs[sample.options]
         try:
-            job = self._job(sample.options)
             result, end = self._runs.alone(replace(job, system=job.system.with_start(sample.factors)))
             if result is None or (end and end.status in (Status.FAILED, Status.INTERRUPTED)):
                 reason = end.reason if end else ""
                 limit = f"{end.limit} = {limits_of(study)[end.limit]:.9g}: " if end and end.limit else ""
                 return failed(study, sample.run, f"{limit}{reason}")
-            return complete(study, case, sample.run, result.trace, result.card.bonds, end)
+            return complete(study, job.system, sample.run, result.trace, result.card.bonds, end)
         except OSError:  # of this computer
             raise
         except Exception as error:  # a defect ends this run only
@@ -129,7 +121,7 @@ class StudyRuns:
     def _in_lanes(self, unit: Unit) -> dict[int, RunOutcome]:
         """The outcomes of the samples that come to their end within the time limit of a run."""
         study, options = self._study, unit[0].options
-        job, case, lanes = self._job(options), self._cases[options], self._lanes[options]
+        job, lanes = self._jobs[options], self._lanes[options]
         values, count = machine_values(job, {n: [float(s.factors[n]) for s in unit] for n in unit[0].factors})
         assert lanes is not None
         rows = [np.full((count, job.times.rows), np.nan) for _ in lanes.signals]
@@ -139,7 +131,7 @@ class StudyRuns:
             if not end or end.status == Status.NOT_RELIABLE:
                 signals = {str(port): values[i] for port, values in zip(lanes.signals, rows, strict=True)}
                 trace = Trace(recorded_times(job.times), signals)
-                found[sample.run] = complete(study, case, sample.run, trace, bonds, end)
+                found[sample.run] = complete(study, job.system, sample.run, trace, bonds, end)
         return found
 
 
@@ -177,13 +169,13 @@ def failed(study: Study, run: int, reason: str) -> RunOutcome:
 
 
 def complete(
-    study: Study, case: StudyCase, run: int, trace: Trace, bonds: Sequence[BondEnergy], end: Ended | None
+    study: Study, system: System, run: int, trace: Trace, bonds: Sequence[BondEnergy], end: Ended | None
 ) -> RunOutcome:
     """The outcome of a run that came to its end; end: of one that an FMU ended, or that is not reliable."""
 
     def values(name: str) -> Array:
-        outlet = case.system.outputs.get(name)
-        values = trace.signals[str(signal(case.system, name))]
+        outlet = system.outputs.get(name)
+        values = trace.signals[str(signal(system, name))]
         return values if outlet is None else outlet.map.factor * values + outlet.map.offset
 
     time, start = trace.time, float(trace.time[0])

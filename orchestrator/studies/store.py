@@ -43,9 +43,7 @@ from orchestrator.studies.study import Choice, Factor, Output, Study
 NAMES = ("runs.parquet", "bands.parquet", "report.html", "analysis.json", "log.csv")
 LOG = "run,status,seconds\n"  # first line of log.csv
 GROUP = 64  # runs per row group of bands.parquet, a few megabytes
-LONG = 120  # characters of two lists together above which only the first difference is shown
-ATTRIBUTES = ("numbers", "options")  # keys that study.toml lacks: left out of the names of differences
-DECISIVE = ("distribution", "signal", "measure")  # keys whose change explains the other changes of an item
+LONG = 200  # characters of two values together above which they are not shown
 DAMAGED = "expected a checksum of the content in the name of the file, got another or none"
 BAND = "band:"  # prefix of the columns of a batch file that hold a stored signal, one list per run
 
@@ -287,10 +285,9 @@ def fingerprint(payload: Payload, table: pd.DataFrame) -> dict[str, Any]:
             starts = repr(sorted(component.start.items())).encode()
             files[f"the start values of {name}{combination}"] = digest(starts)
         if case.scenario is not None:
-            signals = (np.ascontiguousarray(v).tobytes() for v in case.scenario.signals.values())
-            names = "\n".join(case.scenario.signals).encode()
-            data = names + case.scenario.time.tobytes() + b"".join(signals)
-            files[f"the scenario{chosen.get('scenario', '')}"] = digest(data)
+            columns = repr(sorted((str(p), c) for p, c in case.scenario.columns.items())).encode()
+            data = b"".join(np.ascontiguousarray(array).tobytes() for array in case.scenario.table.arrays)
+            files[f"the scenario{chosen.get('scenario', '')}"] = digest(columns + data)
         connections = repr((case.system.connections, case.system.coupling, case.system.step)).encode()
         files[f"the connections{combination}"] = digest(connections)
     samples = digest(table.to_csv(float_format="%.17g").encode())
@@ -319,9 +316,6 @@ def _read_study_json(file: Path) -> dict[str, Any]:
     try:
         stored: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         stored["study"], stored["files"], stored["title"]
-        for choice in stored["study"]["choices"]:
-            if "what" in choice:  # the key of the name in files of earlier versions
-                choice["name"] = choice.pop("what")
     except (ValueError, TypeError, KeyError, RecursionError):
         raise Problem(f"{file}: is not the study.json of a parameter study; --fresh deletes it") from None
     return stored
@@ -332,57 +326,25 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
 
     If the studies differ, the hashes are not compared: most of them follow from the study.
     """
-    differences = list(_differences("", old["study"], new["study"]))
-    if not differences:
-        files = dict.fromkeys([*old["files"], *new["files"]])
-        differences = [f"{f} changed" for f in files if old["files"].get(f) != new["files"].get(f)]
-    more = f", and {len(differences) - 1} more changed" if len(differences) > 1 else ""
-    return f"{differences[0]}{more}" if differences else ""
-
-
-def _differences(where: str, old: Any, new: Any, unit: str = "") -> Iterator[str]:
-    """Differences in the order of the study; where: key, such as `factors."supply.pressure_setting"`."""
-    before, after = _items(old), _items(new)
-    if before is None or after is None:
-        yield _difference(where, old, new, unit)
-        return
-    for key in dict.fromkeys([*before, *after]):
-        if before.get(key) == after.get(key):
+    kinds = [[dict(_flat("", stored["study"])) for stored in (old, new)], [old["files"], new["files"]]]
+    for before, after in kinds:
+        if not (names := [n for n in dict.fromkeys([*before, *after]) if before.get(n) != after.get(n)]):
             continue
-        inner = where if key in ATTRIBUTES else f"{where}.{quote_key(key)}".lstrip(".")
-        if key not in after:
-            yield f"{inner} is no longer there"
-        elif key not in before:
-            yield f"{inner} is new"
-        else:
-            yield from _differences(inner, before[key], after[key], unit or _unit(key, before, after))
-        if key in DECISIVE:
-            return
-    if list(before) != list(after) and set(before) == set(after):
-        yield f"the order of {where} was {', '.join(before)}, is {', '.join(after)}"
+        more = f", and {len(names) - 1} more changed" if len(names) > 1 else ""
+        was, now = (json.dumps(values.get(names[0])).removesuffix(".0") for values in (before, after))
+        shown = before is not old["files"] and len(was) + len(now) <= LONG
+        return f"{names[0]} {f'was {was}, is {now}' if shown else 'changed'}{more}"
+    return ""
 
 
-def _items(value: Any) -> Mapping[str, Any] | None:
-    """A table, or a list of items with names as a mapping; None for other values."""
-    if isinstance(value, Mapping):
-        return value
-    if isinstance(value, list) and all(isinstance(item, Mapping) and "name" in item for item in value):
-        return {item["name"]: item for item in value}
-    return None
-
-
-def _unit(key: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """Unit of the numbers of a factor; empty if they are relative, and for other keys."""
-    has_unit = key == "numbers" and not new["relative"] and old["unit"] == new["unit"]
-    return str(new["unit"]) if has_unit else ""
-
-
-def _difference(where: str, old: Any, new: Any, unit: str) -> str:
-    """Both values; for a long list the first item that differs."""
-    if isinstance(old, list) and isinstance(new, list) and len(json.dumps([old, new])) > LONG:
-        if len(old) != len(new):
-            return f"{where} had {len(old)} items, has {len(new)}"
-        index = next(i for i, pair in enumerate(zip(old, new, strict=True)) if pair[0] != pair[1])
-        return _difference(f"{where}[{index}]", old[index], new[index], unit)
-    before, after = (f"{json.dumps(value).removesuffix('.0')} {unit}".rstrip() for value in (old, new))
-    return f"{where} was {before}, is {after}"
+def _flat(where: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Each value of a study by its key, such as `outputs.end.measure`; first the names of a list of items."""
+    if isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+        value = {item["name"]: item for item in value}
+        yield where, [*value]
+    if not isinstance(value, Mapping):
+        yield where, value
+        return
+    for key, inner in value.items():
+        hidden = key in ("numbers", "options")  # which study.toml does not have
+        yield from _flat(where if hidden else f"{where}.{quote_key(key)}".lstrip("."), inner)

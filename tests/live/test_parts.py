@@ -19,7 +19,7 @@ from orchestrator.realtime import deadlines
 from orchestrator.realtime.deadlines import BINS, latency_bin, latency_quantile
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.realtime.shared_memory import Command, Memory, SharedState, attach, layout
-from orchestrator.realtime.stepping import CommandWatchdog, FrameStepper, Ramp, RateLimiter, RestDelay
+from orchestrator.realtime.stepping import CommandWatchdog, FrameStepper, Ramp, RateLimiter
 from orchestrator.ssp import load as loading
 
 from .conftest import DETAILED
@@ -64,10 +64,10 @@ def test_no_number_means_rest():
     limits = RateLimiter([Axis("a", 5, 1000, rest=1.0), Axis("b", 5, 1000)], 0.01)
     np.testing.assert_array_equal(limits.toward(np.array([3.0, 3.0]), np.array([np.nan, 4.0])), [1.0, 4.0])
     axes = [Axis("engaged", 1.0, 1000.0, rest_delay=0.03), Axis("velocity", 1.0, 1000.0)]
-    limits, rest_delay = RateLimiter(axes, 0.01), RestDelay(axes, 0.01)
+    limits = RateLimiter(axes, 0.01)
     now, seen, none = limits.rest.copy(), [], (np.nan, np.nan)
     for wanted in [none] + 2 * [(1, 1)] + 2 * [none] + [(1, 1)] + 5 * [none] + [(1, 1), (0, 0)]:
-        now = limits.toward(now, rest_delay.delayed(now, np.array(wanted, dtype=float)))
+        now = limits.toward(now, np.array(wanted, dtype=float))
         seen.append((int(now[0]), int(now[1])))
     assert seen[:6] == [(0, 0), (1, 1), (1, 1), (1, 0), (1, 0), (1, 1)]
     assert seen[6:] == 3 * [(1, 0)] + 2 * [(0, 0)] + [(1, 1), (0, 0)]

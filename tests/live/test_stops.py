@@ -12,7 +12,7 @@ from kit import shards
 from orchestrator.base.signals import bare_name
 from orchestrator.data.table import Array
 from orchestrator.drive.sticks import commands
-from orchestrator.realtime.stepping import FrameStepper, RateLimiter, RestDelay
+from orchestrator.realtime.stepping import FrameStepper, RateLimiter
 from orchestrator.view.choice import MachineChoice, plan
 
 from .conftest import DETAILED
@@ -32,12 +32,12 @@ def released(system: Path, mode: str, pose: str, swap: str, load: float = 0.0) -
     setup, modes = chosen.setup, chosen.description.modes
     names = [axis.name for axis in setup.axes]
     full = commands({"swing": 1.0}, modes[mode], names, {"payload_mass": load})
-    limits, rest_delay = RateLimiter(setup.axes, setup.frame), RestDelay(setup.axes, setup.frame)
+    limits = RateLimiter(setup.axes, setup.frame)
     rows = []
     with closing(FrameStepper(setup)) as live:
         for n in range(HELD + WATCHED):
             wanted = np.array([full.get(name, np.nan) if n < HELD else np.nan for name in names])
-            live.advance(limits.toward(live.axes, rest_delay.delayed(live.axes, wanted)))
+            live.advance(limits.toward(live.axes, wanted))
             rows.append([*live.axes, *live.values])
     shown = [*names, *map(bare_name, setup.signals)]
     return dict(zip(shown, np.array(rows).T, strict=True))

@@ -219,7 +219,7 @@ def test_no_period_divides_both_of_two_steps(moving):
     for k, step in enumerate((1e-3, 0.6180340e-3)):
         assert search.settings.step == pytest.approx(step, rel=1e-6)  # as printed above
         trace = Trace(t, {"a.x": t + 0.01 * (2 - k)})
-        result = Result(moving, trace, Card("any", step, 0.0, 10, 1.0, 1.0))
+        result = Result(moving, trace, Card(master="any", step=step))
         assert not search.accepts(result)
         search.choose_stricter(result)
     assert search._error == pytest.approx(0.01 / 0.6180340, rel=1e-4)  # see INSIDE
@@ -232,7 +232,7 @@ def searched(system, accuracy, *errors, adapts=True):
     for rms in accuracy * np.array(errors):
         found = {"errors": (SignalError("a.x", rms, rms, change=rms),), "errors_of_inputs": True}
         result = Result(
-            system, Trace(np.zeros(1), {}), Card("any", search.settings.step, 0.0, 10, 1.0, 1.0, **found)
+            system, Trace(np.zeros(1), {}), Card(master="any", step=search.settings.step, **found)
         )
         if search.accepts(result):
             return None
@@ -271,7 +271,7 @@ def test_the_error_inside_the_fmus_counts(open_oscillator):
     """It is taken for half of their tolerance, if the user wants a loose one."""
     loose = {"accuracy": 1e-6, "accuracy_of": ["a.x"], "tolerance": 1e-5}
     search = accuracy_search.AccuracySearch(open_oscillator, loose)
-    card = Card("any", search.settings.step, 0.0, 10, 1.0, 1.0, errors_of_inputs=True)
+    card = Card(master="any", step=search.settings.step, errors_of_inputs=True)
     result = Result(open_oscillator, Trace(np.zeros(1), {}), card)
     assert not search.accepts(result)
     search.choose_stricter(result)

@@ -23,7 +23,6 @@ from orchestrator.studies.convergence.convergence_report import (
 from orchestrator.studies.convergence.convergence_study import (
     SETTINGS,
     ConvergenceStudy,
-    Setting,
     choose,
     finest_run,
     from_recording,
@@ -115,16 +114,18 @@ def test_a_master_that_the_fmus_do_not_support_is_a_row(fmus):
 
 
 def test_adaptive_settings_have_a_table_of_their_own(moving, truth):
-    """The table has a row for each case with its number of steps; the tables over steps leave them out."""
-    cases = {"coarse": Coupling("jacobi", factors={"a": 2}), "fine": Coupling("jacobi", 1)}
-    chosen = [Setting("free", Coupling("jacobi"), cases=cases), *choose(["jacobi order 0"])]
+    """A row for each tolerance with its number of steps; the tables over steps leave them out."""
+    chosen = choose(["hermite adaptive", "jacobi order 0"])
     found = ConvergenceStudy(truth, tuple(run_settings(moving, truth, chosen, (5e-3,), 1, stop=1.0)))
     assert len(error_table(found, "position").rows) == 1
     table = adaptive_table(found)
-    assert [line[0] for line in table.rows] == ["free coarse", "free fine"]
-    assert [line[1:3] for line in table.rows] == [("200", "5 ms")] * 2
-    assert found.runs[1].error("position") < found.runs[2].error("position")  # order 1 is better than 0
-    assert adaptive_table(ConvergenceStudy(truth, tuple(row for row in found.runs if not row.case))) is None
+    assert [line[0] for line in table.rows] == [f"hermite adaptive 1e-0{n}" for n in range(2, 6)]
+    runs = [row for row in found.runs if row.setting.adaptive]
+    assert [int(line[1]) for line in table.rows] == [row.steps for row in runs]
+    assert [row.error("position") for row in runs] == sorted(
+        (r.error("position") for r in runs), reverse=True
+    )
+    assert adaptive_table(ConvergenceStudy(truth, tuple(r for r in found.runs if r not in runs))) is None
 
 
 def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving):

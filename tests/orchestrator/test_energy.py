@@ -111,7 +111,7 @@ def test_bond_in_other_units_counts_in_watts():
 
 def card_of(*bonds):
     """The card of a run with these bonds."""
-    return Card("jacobi", 1e-3, 1e-3, 10, 0.01, 1.0, bonds=bonds)
+    return Card(master="jacobi", step=1e-3, bonds=bonds)
 
 
 def test_a_bond_at_rest_has_no_share():

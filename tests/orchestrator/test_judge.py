@@ -102,7 +102,7 @@ def test_the_machine_is_described_by_its_files(system):
 def test_the_card_in_the_report(oscillator):
     """Times and steps, and the energies of the power bonds by name: 2 s took 0.8 s, and lost 3 J of 40 J."""
     bonds = (BondEnergy("boom", -3.0, 3.0, 40.0), BondEnergy("idle", 0.0, 0.0, 0.0))
-    known = Card("jacobi", 1e-2, 1e-2, 200, 2.0, 0.8, bonds)
+    known = Card(master="jacobi", step=1e-2, steps=200, simulated=2.0, wall=0.8, bonds=bonds)
     assert card(Result(oscillator, Trace(np.zeros(1), {}), known)) == {
         "wall time [s]": 0.8,
         "real-time factor": 2.5,

@@ -110,7 +110,7 @@ def test_the_advice_is_what_helps(oscillator, able, chosen, advice):
 def test_reasons_are_told_once_and_a_further_run_adds_its_own(rough, oscillator):
     """Once also if one is found twice; the further run is that of an estimate by half the step."""
     assert rough.card.doubted(*rough.card.unreliable) == rough.card
-    assert Card("jacobi", 1e-3, 1e-3, 1, 1.0, 1.0).doubted("a", "b").warnings == ("a", "b")
+    assert Card(master="jacobi", step=1e-3).doubted("a", "b").warnings == ("a", "b")
     result = run(oscillator, **ROUGH, error_estimate=True)
     assert any(reason.startswith("estimated error of the coupling") for reason in result.card.unreliable)
 

@@ -216,7 +216,7 @@ def test_signals_that_stand_still_have_no_error():
 
 def test_the_estimate_tells_the_worst_of_each_unit():
     """A small signal with a large share does not hide another unit; change in the unit, share, order."""
-    card = Card("jacobi", 1e-3, 1e-3, 10, 0.01, 1.0, errors=estimated(a="rad 1", b="rad 2", v="m3 1e-7"))
+    card = Card(master="jacobi", step=1e-3, errors=estimated(a="rad 1", b="rad 2", v="m3 1e-7"))
     assert [(e.name, e.unit) for e in card.worst] == [("b", "rad"), ("v", "m3")]
     # change from h = 2 to h = 1: 1e-3 (4 - 1) of the amplitude 2 rad
     assert card.worst[0].change == pytest.approx(6e-3, rel=1e-9)

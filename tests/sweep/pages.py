@@ -37,7 +37,7 @@ def written(found: Results) -> Shown:
     """What the report of a study is made of."""
     analysis = analyse(found)
     with TemporaryDirectory() as name:
-        write(Path(name), found, analysis)
+        write(Path(name), found)
         page, numbers = (Path(name, file).read_text("utf-8") for file in (PAGE, NUMBERS))
     return Shown(found, analysis, page, json.loads(numbers))
 

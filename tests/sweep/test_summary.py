@@ -11,37 +11,45 @@ from kit.mistakes import table
 from sweep.synthetic import ISHIGAMI, ishigami, results
 
 from orchestrator.lanes.group import Status
+from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.output_samples import without_numbers
-from orchestrator.studies.parameter_study import progress, summary
+from orchestrator.studies.parameter_study import progress
+from orchestrator.studies.report.study_page import study_report
 from orchestrator.studies.runs import RunOutcome
+from orchestrator.studies.store import Results
 
 RATE = r"[0-9.]+ runs/s, \d+ s left"
 _failed = partial(results, ishigami, ISHIGAMI, "latin", 40)
+
+
+def told(found: Results) -> list[str]:
+    """What the command prints, line by line."""
+    return study_report(found, analyse(found)).text().splitlines()
 
 
 def test_runs_that_ended_come_first() -> None:
     """ok, early, failed, however many failed."""
     for failed in (5, 20, 35):
         found = _failed(reasons=dict.fromkeys(range(failed), "it broke"))
-        assert summary(found).splitlines()[0] == f"40 runs: {40 - failed} ok, {failed} failed"
+        assert told(found)[0] == f"40 runs: {40 - failed} ok, {failed} failed"
     found = _failed(reasons={0: "it broke", 1: "it broke", 2: "it broke"})
     status = found.table["status"].where(found.table["run"] != 2, "early")
     found = replace(found, table=found.table.assign(status=status))
-    assert summary(found).splitlines()[0] == "40 runs: 37 ok, 1 early, 2 failed"
+    assert told(found)[0] == "40 runs: 37 ok, 1 early, 2 failed"
 
 
 def test_failures_are_grouped_whatever_the_numbers_in_their_reasons() -> None:
     """The first of a kind is the example; one that is always the same stays; five groups are printed."""
     reasons = {n: f"operator_input: swing_1_rise is {-0.1 * n:g}, expected at least 0" for n in range(3, 9)}
     found = _failed(reasons={**reasons, 30: "the process ended by signal 11 (SIGSEGV)"})
-    assert summary(found).splitlines()[-2:] == [
-        "6 failed, such as: operator_input: swing_1_rise is -0.3, expected at least 0",
-        "1 failed: the process ended by signal 11 (SIGSEGV)",
+    assert told(found)[1:3] == [
+        "6 of them, such as: operator_input: swing_1_rise is -0.3, expected at least 0",
+        "1 of them: the process ended by signal 11 (SIGSEGV)",
     ]
     found = _failed(reasons={n: f"part {'abcdefg'[n % 7]} broke at {n} s" for n in range(14)})
-    lines = summary(found).splitlines()
-    assert lines[-1] == "... and for 2 other reasons"
-    assert lines[-6] == "2 failed, such as: part a broke at 0 s"
+    lines = told(found)
+    assert lines[6] == "... and for 2 other reasons"
+    assert lines[1] == "2 of them, such as: part a broke at 0 s"
 
 
 @table(__file__, "causes", "one, other, same")

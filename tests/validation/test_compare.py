@@ -236,7 +236,7 @@ def solved(name: str = "arm", master: str = SOLVER, **signals: float) -> Result:
         variables["still"] = FmuVariable("still", causality="output", attributes={"nominal": "100"})
     system = System("s", {name: Component(name, FmuInterface(variables))})
     trace = Trace(TIME, {f"{name}.{n}": 3.0 + rate * TIME for n, rate in signals.items()})
-    return Result(system, trace, Card(master, 0.1, 0.1, 10, 1.0, 0.1))
+    return Result(system, trace, Card(master=master, step=0.1, steps=10, simulated=1.0, wall=0.1))
 
 
 def test_without_shipped_signals_all_outputs_are_compared():
@@ -272,7 +272,7 @@ def test_constant_outputs_are_judged_by_their_magnitude():
 def test_the_title_and_the_signals_compared():
     """A co-simulation is told where an FMU has no Model Exchange; signals that the run lacks are left out."""
     titles = [monolithic_recording(solved(master=m, x=1.0), SHIPPED).heading for m in (SOLVER, "hermite")]
-    assert titles == ["Monolithic solution of the FMUs", "Co-simulation with a small step"]
+    assert titles == ["Monolithic solution of the FMUs", "Co-simulation with a small error"]
     truth = solved("other", x=1.0, state=2.0)
     run = truth.trace.select(["other.x"])
     assert [row.signal for row in validate(run, truth, rate=False).rows] == ["other.x"]

@@ -11,13 +11,12 @@ from orchestrator.base.signals import moves
 from orchestrator.data.table import Array
 from orchestrator.lanes.group import Status
 from orchestrator.studies.analysis import morris_sobol, sensitivity
-from orchestrator.studies.analysis.output_samples import OutputSamples, done, samples, without_numbers
-from orchestrator.studies.analysis.results import Analysis, Failure, OutputAnalysis, Sensitivity, Spread
+from orchestrator.studies.analysis.output_samples import OutputSamples, done, failures, samples
+from orchestrator.studies.analysis.results import Analysis, OutputAnalysis, Sensitivity, Spread
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import START, Output, Study
 
 FEWEST_RUNS = 5  # fewest failed, and fewest completed, runs for a test of what makes runs fail
-EXAMPLES = 5  # run numbers shown for each reason
 SIGNIFICANCE = 0.01  # probability of a false alarm over all factors together (Bonferroni)
 NOTES = {
     "morris": "statistics are over the points of the Morris design: ends of ranges have more weight",
@@ -44,21 +43,6 @@ def spread(values: Array) -> Spread | None:
     low, median, high = np.quantile(finite, (0.05, 0.5, 0.95)).tolist()
     mean, sd = float(finite.mean()), float(finite.std(ddof=1)) if finite.size > 1 else 0.0
     return Spread(finite.size, mean, sd, low, median, high, float(finite.min()), float(finite.max()))
-
-
-def failures(results: Results) -> tuple[Failure, ...]:
-    """Failed runs by reason, the most frequent first; reasons that differ only in numbers are merged."""
-    failed = results.table[results.table["status"] != Status.OK].sort_values("run")
-    reasons = failed["reason"].fillna("").astype(str).where(lambda r: r != "", "no reason given")
-    groups = []
-    for _, group in failed.groupby(without_numbers(reasons), sort=True):
-        in_group, counts = reasons[group.index], {}
-        for choice in results.study.compared:
-            occurrences = group[choice.column].astype(str).value_counts()
-            counts[choice.name] = {option: int(occurrences.get(option, 0)) for option in choice.options}
-        examples = tuple(int(run) for run in group["run"].head(EXAMPLES))
-        groups.append(Failure(str(in_group.iloc[0]), len(group), examples, counts, in_group.nunique() > 1))
-    return tuple(sorted(groups, key=lambda failure: (-failure.count, failure.reason)))
 
 
 def _missing_factors(results: Results) -> list[str]:

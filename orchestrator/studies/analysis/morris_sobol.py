@@ -97,23 +97,20 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
     complete = len(design.y) // width
     if complete < LEAST_TRAJECTORIES:
         return f"expected at least {LEAST_TRAJECTORIES} complete trajectories, got {complete} of {count}"
-    apart = {name: _elementary_effects(design.alone(c)) for c, name in enumerate(design.combinations)}
-    effects = [_pooled(effects) for effects in zip(*apart.values(), strict=True)]
+    apart = [_elementary_effects(design, y) for y in design.y.T]
+    effects = [_pooled(effects) for effects in zip(*apart, strict=True)]
     effects += _option_effects(design, width)
     notes = [
         "mu* is the change of the output over the whole range of a factor; it is not a fraction of a variance"
     ]
     if complete < count:
         notes.append(f"{count - complete} of {count} trajectories are left out, as one of their runs failed")
-    each = {name: ordered(effects, MU_STAR) for name, effects in apart.items()} if samples.crossed else {}
-    variance = float(design.y.var())
     largest_first = ordered(effects, MU_STAR)
-    return Sensitivity(MORRIS, MU_STAR, complete, variance, largest_first, each, notes=tuple(notes))
+    return Sensitivity(MORRIS, MU_STAR, complete, float(design.y.var()), largest_first, notes=tuple(notes))
 
 
-def _elementary_effects(design: OutputSamples) -> list[Effect]:
-    """mu* and sigma of each factor in one combination of choices."""
-    y = design.y[:, 0]
+def _elementary_effects(design: OutputSamples, y: Array) -> list[Effect]:
+    """mu* and sigma of each factor in one combination of choices, with the values y."""
     settings = {"num_levels": LEVELS, "num_resamples": RESAMPLES, "seed": np.random.default_rng(SEED)}
     result = morris.analyze(problem(design.names), design.x, y, **settings)
     columns = np.array([result[key] for key in ("mu_star", "mu_star_conf", "mu", "sigma")], float).T.tolist()
@@ -180,15 +177,8 @@ def sobol_indices(design: OutputSamples, count: int) -> Sensitivity:
         notes.append(
             f"{complete} base samples are few: an interval is {100 * widest:.0f} percentage points wide"
         )
-    apart = {
-        name: ordered(_sobol_effects(independent_rows.alone(c), y[:, :, [c]]), TOTAL)
-        for c, name in enumerate(design.combinations)
-        if design.crossed and independent_rows.y[:, c].std() > 0
-    }
-    effects = ordered(factors + of_crossed(independent_rows), TOTAL)
-    return Sensitivity(
-        SOBOL, TOTAL, complete, float(independent_rows.y.var()), effects, apart, notes=tuple(notes)
-    )
+    effects, variance = ordered(factors + of_crossed(independent_rows), TOTAL), independent_rows.y.var()
+    return Sensitivity(SOBOL, TOTAL, complete, float(variance), effects, notes=tuple(notes))
 
 
 def _sobol_effects(independent_rows: OutputSamples, y: Array) -> list[Effect]:

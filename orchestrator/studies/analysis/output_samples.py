@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 from dataclasses import dataclass, replace
 
@@ -14,9 +13,11 @@ from scipy.stats import spearmanr
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 from orchestrator.lanes.group import Status
+from orchestrator.studies.analysis.results import Failure
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output
 
+EXAMPLES = 5  # run numbers shown for each reason
 # A number that is not part of a name, such as pump_1_rise.
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
@@ -24,6 +25,29 @@ _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 def without_numbers(reasons: pd.Series) -> pd.Series:
     """Each reason with # for its numbers: equal ones differ only in their numbers."""
     return reasons.astype(str).map(lambda reason: _NUMBER.sub("#", reason))
+
+
+def counts(results: Results) -> str:
+    """The number of runs of each status, such as `12 runs: 10 ok, 2 failed`."""
+    found = results.table["status"].value_counts()
+    words = (Status.OK, Status.NOT_RELIABLE, Status.EARLY, Status.FAILED)
+    statuses = ", ".join(f"{found[status]} {status}" for status in words if status in found)
+    return f"{len(results.table)} runs: {statuses}"
+
+
+def failures(results: Results) -> tuple[Failure, ...]:
+    """Failed runs by reason, the most frequent first; reasons that differ only in numbers are merged."""
+    failed = results.table[results.table["status"] != Status.OK].sort_values("run")
+    reasons = failed["reason"].fillna("").astype(str).where(lambda r: r != "", "no reason given")
+    groups = []
+    for _, group in failed.groupby(without_numbers(reasons), sort=True):
+        in_group, counts = reasons[group.index], {}
+        for choice in results.study.compared:
+            occurrences = group[choice.column].astype(str).value_counts()
+            counts[choice.name] = {option: int(occurrences.get(option, 0)) for option in choice.options}
+        examples = tuple(int(run) for run in group["run"].head(EXAMPLES))
+        groups.append(Failure(str(in_group.iloc[0]), len(group), examples, counts, in_group.nunique() > 1))
+    return tuple(sorted(groups, key=lambda failure: (-failure.count, failure.reason)))
 
 
 @dataclass(frozen=True)
@@ -47,11 +71,6 @@ class OutputSamples:
         return tuple(dimension.name for dimension in self.dimensions)
 
     @property
-    def combinations(self) -> tuple[str, ...]:
-        """A name for each column of y."""
-        return tuple(", ".join(options) for options in itertools.product(*(c.options for c in self.crossed)))
-
-    @property
     def complete(self) -> NDArray[np.bool_]:
         """Whether each sample has the output in every combination, shape (n,)."""
         return np.asarray(np.isfinite(self.y).all(axis=1))
@@ -66,10 +85,6 @@ class OutputSamples:
     def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> OutputSamples:
         """The samples of these rows."""
         return replace(self, x=self.x[rows], y=self.y[rows])
-
-    def alone(self, column: int) -> OutputSamples:
-        """The samples of one combination of choices."""
-        return replace(self, y=self.y[:, [column]], crossed=())
 
 
 def done(results: Results) -> pd.DataFrame:

@@ -82,7 +82,6 @@ class Sensitivity:
     measure   sensitivity measure by which the effects are sorted, the largest first
     samples   number of independent samples
     variance  variance of the output [unit squared], over factors and choices
-    apart     effects of the factors in each combination of choices
     quality   goodness of fit of the linear models
     notes     remarks on the estimates
     reliable  whether the effects can be ranked; false if a linear model does not fit
@@ -93,7 +92,6 @@ class Sensitivity:
     samples: int
     variance: float
     effects: tuple[Effect, ...]
-    apart: Mapping[str, tuple[Effect, ...]] = field(default_factory=dict)
     quality: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     reliable: bool = True

@@ -81,15 +81,10 @@ def from_sample(samples: OutputSamples) -> Sensitivity | str:
         )
     if not reliable:
         notes.append("the linear model does not fit: it cannot rank the factors")
-    apart = {
-        combination: ordered(_effects(complete.alone(c), fast), measure)
-        for c, combination in enumerate(complete.combinations)
-        if complete.crossed and np.ptp(complete.y[:, c]) > 0
-    }
     method, variance = FAST if fast else LINEAR, float(complete.y.var())
     effects = ordered(_effects(complete, fast) + crossed, measure)
     quality = {"r_squared": fits[0], "r_squared_of_ranks": fits[1]}
-    return Sensitivity(method, measure, count, variance, effects, apart, quality, tuple(notes), reliable)
+    return Sensitivity(method, measure, count, variance, effects, quality, tuple(notes), reliable)
 
 
 def _effects(samples: OutputSamples, fast: bool) -> list[Effect]:

@@ -1,12 +1,12 @@
 """Tables, figures and files of a convergence study.
 
-The tables have a row for each setting and a column for each communication step. A figure has a curve for each
-setting; settings with equal results are one curve.
+The tables have a row for each setting and a column for each communication step, figures a curve for each
+setting.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,6 @@ SIZE = (9.6, 5.2)  # [in]
 DARK = ("#c2341d", "#c98500", "#00735a", "#0b5fa5", "#333333", "#8f3f8f")
 COLOURS = dict(zip(("plain", *MASTERS, "adaptive"), DARK, strict=True))
 MARKERS = ("o", "s", "^", "D")
-SAME_ERROR = 0.01  # relative: settings whose errors differ by less are drawn as one curve
 SLOPES = (1, 2, 4)  # orders of convergence of the lines in the corner
 
 
@@ -60,15 +59,25 @@ def write(study: ConvergenceStudy, home: Path) -> list[Path]:
     return [csv, json, *(write_whole(home / name, png(f, DPI)) for name, f in figures.items())]
 
 
-def _columns(run: SettingRun) -> dict[str, Any]:
-    """What the CSV and the JSON file contain of a run, except for its errors."""
-    return {
+def _data(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
+    """What the JSON file contains of a run: the columns of the CSV file, and all signals."""
+    units, errors = study.reference.recording.units, dict[str, Any]()
+    for group, found in run.errors.items():
+        signals = {
+            n: {"nrmse": e.nrmse, "maximum": e.maximum_error, "unit": units[n]} for n, e in found.items()
+        }
+        errors[group] = {"order of convergence": study.order(run, group), "signals": signals}
+    return {**_row(study, run), "walls [s]": run.walls, "errors": errors}
+
+
+def _row(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
+    """A run with the worst signal of each group, as a row of the CSV file."""
+    row: dict[str, Any] = {
         "setting": run.setting.label,
-        "master": run.coupling.method.name,
-        "extrapolation order": run.coupling.extrapolation,
-        "most passes": run.coupling.max_passes,
+        "master": run.setting.coupling.method.name,
+        "extrapolation order": run.setting.coupling.extrapolation,
+        "most passes": run.setting.coupling.max_passes,
         "without rate connections": run.setting.without_rates,
-        "case": run.case,
         "step [s]": run.step,
         "mean step [s]": run.mean_step,
         "steps": run.steps,
@@ -78,22 +87,6 @@ def _columns(run: SettingRun) -> dict[str, Any]:
         "wall time over simulated time [1]": json_values(run.cost),
         "ended": run.failure or run.refusal,
     }
-
-
-def _data(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
-    """A run with the errors of all signals."""
-    units, errors = study.reference.recording.units, dict[str, Any]()
-    for group, found in run.errors.items():
-        signals = {
-            n: {"nrmse": e.nrmse, "maximum": e.maximum_error, "unit": units[n]} for n, e in found.items()
-        }
-        errors[group] = {"order of convergence": study.order(run, group), "signals": signals}
-    return {**_columns(run), "walls [s]": run.walls, "errors": errors}
-
-
-def _row(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
-    """A run with the worst signal of each group."""
-    row = _columns(run)
     for group in study.reference.groups:
         worst = next(iter(run.errors.get(group, ())), None)
         row[f"{group} nrmse"] = run.error(group) if worst else None
@@ -139,11 +132,10 @@ def adaptive_table(study: ConvergenceStudy) -> TextTable | None:
     """Masters with adaptive step size, one row for each case; None if there are none."""
     groups = list(study.reference.groups)
     rows = []
-    for run in (run for run in study.runs if run.case):
-        failed = UNSTABLE if not run.stable else ""
-        errors = [REFUSED if run.refusal else failed or two_digits(run.error(group)) for group in groups]
+    for run in (run for run in study.runs if run.setting.adaptive):
+        errors = [_cell(run, lambda r, group=group: two_digits(r.error(group))) for group in groups]  # type: ignore[misc]
         steps = (str(run.steps), f"{1e3 * run.mean_step:.3g} ms")
-        rows.append((f"{run.setting.label} {run.case}", *steps, *errors, _cell(run, _cost)))
+        rows.append((run.setting.label, *steps, *errors, _cell(run, _cost)))
     head = ("master", "steps", "mean step", *groups, "wall [ms/s]")
     title = f"adaptive step size: worst NRMSE against {study.reference.title}"
     return TextTable(head, rows, title=title, strong=(UNSTABLE, REFUSED)) if rows else None
@@ -152,10 +144,9 @@ def adaptive_table(study: ConvergenceStudy) -> TextTable | None:
 def _table(study: ConvergenceStudy, title: str, cell: Callable[[SettingRun], str]) -> TextTable:
     """One row for each setting with given steps, one column for each step."""
     rows = []
-    for runs in study.settings:
-        if not runs[0].case:
-            by_step = {run.step: run for run in runs}
-            rows.append((runs[0].setting.label, *(_cell(by_step.get(step), cell) for step in study.steps)))
+    for runs in (runs for runs in study.curves if not runs[0].setting.adaptive):
+        by_step = {run.step: run for run in runs}
+        rows.append((runs[0].setting.label, *(_cell(by_step.get(step), cell) for step in study.steps)))
     head = ["master", *map(milliseconds, study.steps)]
     return TextTable(head, rows, title=title, strong=(UNSTABLE, REFUSED))
 
@@ -167,15 +158,15 @@ def _cell(run: SettingRun | None, cell: Callable[[SettingRun], str]) -> str:
 
 
 def failures(study: ConvergenceStudy) -> list[str]:
-    """For each setting the first unstable step, or why it was not run."""
+    """For each curve the first unstable step, or why it was not run."""
     lines = []
-    for runs in study.settings:
-        if failed := next((run for run in runs if not run.stable), None):
-            reason = failed.failure or "completed, but the error of a signal exceeded its range"
-            what = (
-                f"{REFUSED}: {failed.refusal}" if failed.refusal else f"{UNSTABLE} at {failed.at}: {reason}"
-            )
-            lines.append(f"{failed.setting.label}: {what}")
+    for run in (next((run for run in runs if not run.stable), None) for runs in study.curves):
+        if run and run.refusal:
+            lines.append(f"{run.setting.curve}: {REFUSED}: {run.refusal}")
+        elif run:
+            reason = run.failure or "completed, but the error of a signal exceeded its range"
+            at = "" if run.setting.adaptive else f" at {milliseconds(run.step)}"
+            lines.append(f"{run.setting.label}: {UNSTABLE}{at}: {reason}")
     return lines
 
 
@@ -208,14 +199,18 @@ def draw(study: ConvergenceStudy, group: str | None = None, over_cost: bool = Fa
     axes.set(xscale="log", yscale="log")
     axes.set_title(f"against: {study.reference.title}", loc="left", fontsize=9, color=PALETTE.faint)
     crosses = []
-    for runs in _curves(study, group):
-        stable = [run for run in runs[0] if run.stable]
-        colour, index = COLOURS[runs[0][0].setting.family], len(axes.lines)
-        crosses += [(1e3 * r.mean_step, colour) for r in runs[0] if not (r.stable or r.refusal)]
+    for runs in study.curves:
+        stable, colour, index = (
+            [r for r in runs if r.stable],
+            COLOURS[runs[0].setting.family],
+            len(axes.lines),
+        )
+        crosses += [(1e3 * r.mean_step, colour) for r in runs if not (r.stable or r.refusal)]
         style = {"linestyle": LINE_STYLES[index % 4], "marker": MARKERS[index % 4], "markersize": 4}
         places = [1e3 * (run.cost if over_cost else run.mean_step) for run in stable]
-        label = _label([of[0].setting.label for of in runs])
-        axes.plot(places, [run.error(group) for run in stable], label=label, color=colour, lw=1.4, **style)
+        errors, label = [run.error(group) for run in stable], runs[0].setting.curve
+        if stable:
+            axes.plot(places, errors, label=label, color=colour, lw=1.4, **style)
     low, high = axes.get_ylim()
     if not over_cost:
         for k, (step, colour) in enumerate(crosses):  # above the curves, side by side
@@ -231,33 +226,7 @@ def draw(study: ConvergenceStudy, group: str | None = None, over_cost: bool = Fa
     return figure
 
 
-def _label(settings: Sequence[str]) -> str:
-    """The labels of settings; a shared first word is written once."""
-    first = settings[0].split()[0]
-    return ", ".join([settings[0], *(s.removeprefix(f"{first} ") for s in settings[1:])])
-
-
-def _curves(study: ConvergenceStudy, group: str) -> list[list[list[SettingRun]]]:
-    """The runs of each setting that has a stable one; settings with the results of an earlier one join it."""
-    distinct = list[list[list[SettingRun]]]()
-    for runs in study.settings:
-        same = next((other for other in distinct if _equal_results(other[0], runs, group)), None)
-        if same is not None:
-            same.append(runs)
-        elif any(run.stable for run in runs):
-            distinct.append([runs])
-    return distinct
-
-
-def _equal_results(first: Sequence[SettingRun], second: Sequence[SettingRun], group: str) -> bool:
-    """Both have the same steps, are stable at the same ones, and have equal errors there."""
-    if [(r.mean_step, r.stable) for r in first] != [(r.mean_step, r.stable) for r in second]:
-        return False
-    pairs = [(a.error(group), b.error(group)) for a, b in zip(first, second, strict=True) if a.stable]
-    return bool(pairs) and all(abs(a - b) <= SAME_ERROR * max(a, b) for a, b in pairs)
-
-
-def _draw_slopes(axes: Any, steps: Sequence[float], low: float) -> None:
+def _draw_slopes(axes: Any, steps: list[float], low: float) -> None:
     """Lines with the slopes of orders of convergence, lower right."""
     right = 1e3 * steps[-1]
     for order in SLOPES:

@@ -8,9 +8,9 @@ a good master.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from functools import partial
 from math import isfinite, log
 from pathlib import Path
 from statistics import median
@@ -30,12 +30,9 @@ from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME, Trace, rounding
 from orchestrator.engine.arguments import CaseArguments, RunArguments
-from orchestrator.engine.job import Job
-from orchestrator.engine.result import widest_of_unit
-from orchestrator.engine.run import run
-from orchestrator.engine.scenario import ScenarioSource
-from orchestrator.lanes.group import Status
-from orchestrator.lanes.many import Runs, in_threads
+from orchestrator.engine.result import Result, widest_of_unit
+from orchestrator.engine.run import attempt, run
+from orchestrator.engine.scenario import ScenarioSource, read_scenario
 from orchestrator.results.metrics import AT_REST, HUGE, Metrics, measure
 from orchestrator.results.validate_system import another_model
 from orchestrator.ssp.coupling import Coupling
@@ -60,26 +57,33 @@ EXTRAPOLATING = tuple(master.name for master in MASTERS.values() if not master.g
 
 @dataclass(frozen=True)
 class Setting:
-    """One way of coupling.
+    """One way of coupling; with adaptive steps it is run once, not at every step.
 
     without_rates  without the connections of rate ports: what a textbook master would get
-    cases          for masters with adaptive step size: couplings by name, such as one per tolerance; they are
-                   compared instead of steps
     """
 
     label: str
     coupling: Coupling
     without_rates: bool = False
-    cases: Mapping[str, Coupling] = field(default_factory=dict)
+
+    @property
+    def adaptive(self) -> bool:
+        """Do the steps follow from a tolerance?"""
+        return self.coupling.adaptive is not None
 
     @property
     def family(self) -> str:
         """The settings that are drawn in one colour."""
-        return "plain" if self.without_rates else "adaptive" if self.cases else self.coupling.method.name
+        return "plain" if self.without_rates else "adaptive" if self.adaptive else self.coupling.method.name
+
+    @property
+    def curve(self) -> str:
+        """The settings that are drawn as one curve: a setting at all steps, or adaptive ones."""
+        return f"{self.coupling.method.name} adaptive" if self.adaptive else self.label
 
     def matches(self, pattern: str) -> bool:
-        """Is the pattern the name of the master, or does the label match it?"""
-        return pattern == self.coupling.method.name or fnmatchcase(self.label, pattern)
+        """Is the pattern the name of the master or of the curve, or does the label match it?"""
+        return pattern in (self.coupling.method.name, self.curve) or fnmatchcase(self.label, pattern)
 
 
 SETTINGS = (
@@ -91,11 +95,7 @@ SETTINGS = (
     Setting("hermite", Coupling("hermite")),
     Setting("interface-jacobian unguarded", Coupling("interface-jacobian", guard=0)),
     Setting("interface-jacobian", Coupling("interface-jacobian")),
-    Setting(
-        "hermite adaptive",
-        Coupling("hermite"),
-        cases={f"{tolerance:.0e}": Coupling("hermite", adaptive=tolerance) for tolerance in TOLERANCES},
-    ),
+    *(Setting(f"hermite adaptive {e:.0e}", Coupling("hermite", adaptive=e)) for e in TOLERANCES),
 )
 
 
@@ -266,7 +266,6 @@ class SettingRun:
     """The run of one setting at one step. Times in [s].
 
     step     communication step; of an adaptive run the first one to try
-    case     of an adaptive run: its name in `Setting.cases`
     errors   group -> signal -> its errors, the largest first; empty if the run ended early or was refused
     steps    number of communication steps
     walls    wall times, one for each repetition of the run
@@ -276,23 +275,12 @@ class SettingRun:
 
     setting: Setting
     step: float
-    case: str = ""
     errors: Mapping[str, Mapping[str, Metrics]] = field(default_factory=dict)
     steps: int = 0
     simulated: float = 0.0
     walls: tuple[float, ...] = ()
     failure: str = ""
     refusal: str = ""
-
-    @property
-    def coupling(self) -> Coupling:
-        """The coupling of the run."""
-        return self.setting.cases.get(self.case, self.setting.coupling)
-
-    @property
-    def at(self) -> str:
-        """The case, or the step."""
-        return self.case or milliseconds(self.step)
 
     @property
     def mean_step(self) -> float:
@@ -331,13 +319,13 @@ class ConvergenceStudy:
     @property
     def steps(self) -> list[float]:
         """The communication steps of the study [s], the smallest first."""
-        return sorted({r.step for r in self.runs if not r.case})
+        return sorted({r.step for r in self.runs if not r.setting.adaptive})
 
     @property
-    def settings(self) -> list[list[SettingRun]]:
-        """The runs of each setting, the smallest step first."""
-        by_label = grouped(self.runs, lambda run: run.setting.label).values()
-        return [sorted(runs, key=lambda r: r.mean_step if r.case else r.step) for runs in by_label]
+    def curves(self) -> list[list[SettingRun]]:
+        """The runs of each curve, the smallest step first."""
+        curves = grouped(self.runs, lambda run: run.setting.curve).values()
+        return [sorted(runs, key=lambda r: (r.step, r.mean_step)) for runs in curves]
 
     def order(self, setting_run: SettingRun, group: str) -> float | None:
         """Observed order of convergence against the next smaller step; None unless both runs are stable."""
@@ -382,49 +370,40 @@ def run_settings(
     reference.check(system, start, stop, steps)
     rates = rate_inputs(system) if rates is None else tuple(rates)
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference.names]
-    what = {**options, "record": list(dict.fromkeys(ports))}
-    jobs, done = dict[int, Job](), [] if done is None else done
+    given: dict[str, Any] = {**options, "record": list(dict.fromkeys(ports))}
+    done, scenario = [] if done is None else done, read_scenario(scenario)
     plans = [
         plan
         for setting in settings
         if rates or not setting.without_rates
-        for plan in [SettingRun(setting, min(steps), case) for case in setting.cases]
-        or [SettingRun(setting, step) for step in sorted(steps)]
+        for plan in [SettingRun(setting, step) for step in sorted(steps)[: 1 if setting.adaptive else None]]
     ]
-    for n, plan in enumerate(plans):
-        coupled = system.without(*rates) if plan.setting.without_rates else system
-        record_step = reference.adaptive_record_step(start) if plan.case else plan.step
-        how = {"master": plan.coupling, "step": plan.step, "record_step": record_step}
-        try:
-            jobs[n] = Job.of(coupled, scenario, what | how)
-        except Problem as problem:
-            plans[n] = replace(plan, refusal=str(problem))
-    with closing(Runs([job.system for job in jobs.values()])) as runs, doing("the first run") as line:
-        systems = dict(zip(jobs, runs.systems, strict=True))
-
-        def work(n: int) -> SettingRun:
-            line.update(f"{n} of {len(plans)}  {plans[n].setting.label}, {plans[n].at}")
-            if n not in jobs:
-                return plans[n]
-            return _run(plans[n], reference, runs, replace(jobs[n], system=systems[n]), repeats)
-
-        in_threads(work, range(len(plans)), done.extend, runs.stop, workers=1)
+    with doing("the first run") as line:
+        for n, plan in enumerate(plans):
+            setting, step = plan.setting, plan.step
+            line.update(f"{n} of {len(plans)}  {setting.label}, {milliseconds(step)}")
+            coupled = system.without(*rates) if setting.without_rates else system
+            record_step = reference.adaptive_record_step(start) if setting.adaptive else step
+            given |= {"master": setting.coupling, "step": step, "record_step": record_step}
+            done.append(_run(plan, reference, partial(attempt, coupled, scenario, **given), repeats))
     if done and all(run.refusal for run in done):  # the user's mistake, not a limit of the FMUs
         raise Problem(done[0].refusal)
     return done
 
 
-def _run(plan: SettingRun, reference: Reference, runs: Runs, job: Job, repeats: int) -> SettingRun:
+def _run(
+    plan: SettingRun, reference: Reference, run: Callable[[], tuple[Result, str]], repeats: int
+) -> SettingRun:
     """One run, repeated for its wall time if it was stable."""
-    result, end = runs.alone(job)
-    failure = end.reason if end and end.status == Status.FAILED else ""
-    if result is None:
-        return replace(plan, refusal=failure)
+    try:
+        result, failure = run()
+    except Problem as problem:
+        return replace(plan, refusal=str(problem))
     card = result.card
     errors = {} if failure else reference.errors(result.trace, plan.step)
     done = replace(plan, errors=errors, steps=card.steps, simulated=card.simulated, failure=failure)
-    more = (runs.alone(job)[0] for _ in range(repeats - 1 if done.stable else 0))
-    return replace(done, walls=(card.wall, *(again.card.wall for again in more if again is not None)))
+    more = (run()[0].card.wall for _ in range(repeats - 1 if done.stable else 0))
+    return replace(done, walls=(card.wall, *more))
 
 
 # ---- for the command line
@@ -432,28 +411,29 @@ def _run(plan: SettingRun, reference: Reference, runs: Runs, job: Job, repeats: 
 
 def convergence(
     system: Path,
-    reference: Path | None,
     out: Path,
-    steps: str,
-    masters: str,
-    signals: Sequence[str],
-    repeats: int,
-    default_reference: Path,
-    report: Callable[[ConvergenceStudy, Path], object],
+    steps: Sequence[float],
+    masters: Sequence[str] = (),
+    signals: Sequence[str] = (),
+    repeats: int = 3,
+    reference: Path | None = None,
+    default_reference: Path | None = None,
     scenario: Path | None = None,
+    tell: Callable[[str], object] = print,
     **options: Unpack[CaseArguments],
 ) -> ConvergenceStudy:
-    """Run a study and report it; after an interrupt the finished runs are reported.
+    """Run a study, tell its tables and write its files to `out`; also what an interrupted one has finished.
 
-    steps              times [s], separated by commas
-    masters            names separated by commas, as of `choose`
+    steps              times [s], the smallest first
+    masters            as of `choose`
     default_reference  used if no reference is given, and if it fits this system and this run
-    report             prints and writes the study, which goes to the folder `out`
     options            of `run`
     """
+    from orchestrator.studies.convergence.convergence_report import report, write
+
     if repeats < 1:
         raise Problem(f"repeats: expected at least 1, got {repeats}")
-    settings, step_list = choose(_items(masters)), read_steps(steps)
+    settings = choose(masters)
     given: dict[str, Any] = checked(CaseArguments, options, "convergence")
     other_run = any(given.get(name) for name in OTHER_RUN) or scenario is not None
     coupled = configured(require_system(system), **taken(given, "cut", "swap"))
@@ -461,40 +441,38 @@ def convergence(
         raise Problem(f"{system}: expected connected FMUs, got no connection: there is nothing to couple")
     make_folder(out)
     given = {name: value for name, value in given.items() if value}
-    if reference is None and not other_run:
+    if reference is None and default_reference and not other_run:
         names = from_recording(read_recording(default_reference)).names
         reference = default_reference if set(names) <= set(coupled.names()) else None
     if reference:
         recording = read_recording(reference)
         solution, note = from_recording(recording, signals), another_model(coupled, recording)
     else:
-        solution = finest_run(coupled, signals, step_list, scenario, **given)
+        solution = finest_run(coupled, signals, steps, scenario, **given)
         note = f"no reference for this run: {solution.title}, half the smallest step, is used instead"
     rates, runs = rate_inputs(coupled), list[SettingRun]()
     plain = rates and any(setting.without_rates for setting in settings)
     plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}" if plain else ""
     try:
-        run_settings(coupled, solution, settings, step_list, repeats, rates, scenario, runs, **given)
+        run_settings(coupled, solution, settings, steps, repeats, rates, scenario, runs, **given)
     finally:
         notes = filter(None, (note, *solution.notes, plain_note))
         study = ConvergenceStudy(solution, tuple(runs), tuple(notes))
         if not all(run.refusal for run in runs):
-            report(study, out)
+            tell("\n".join([report(study).text(), "", *map(str, write(study, out))]))
     return study
 
 
 def read_steps(text: str) -> list[float]:
     """Steps [s] from a list with commas, the smallest first."""
-    steps = []
-    for item in _items(text):
-        steps.append(seconds(item, f"steps {text}") or 0.0)
-        if not (steps[-1] > 0 and isfinite(steps[-1])):
-            raise Problem(f"steps {text}: expected positive times, got {item}")
+    steps = [seconds(item, f"steps {text}") or 0.0 for item in items(text)]
+    if wrong := next((step for step in steps if not (step > 0 and isfinite(step))), None):
+        raise Problem(f"steps {text}: expected positive times, got {wrong:g}")
     if not steps:
         raise Problem("steps: expected at least one, got none")
     return sorted(set(steps))
 
 
-def _items(text: str) -> list[str]:
+def items(text: str) -> list[str]:
     """The items of a list with commas."""
     return [part.strip() for part in text.split(",") if part.strip()]

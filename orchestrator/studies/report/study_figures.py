@@ -184,7 +184,6 @@ def quantiles(samples: pd.DataFrame, signal: str) -> tuple[Array, Array]:
 
 
 MOST_BARS = 12  # the table contains all effects
-MOST_COMBINATIONS = 12  # of choices that are drawn as dots
 LABELS = {
     MU_STAR: "change over the factor's range, μ*",
     TOTAL: "fraction of the variance",
@@ -193,7 +192,7 @@ LABELS = {
 
 
 def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
-    """Bars of the sensitivity measure, first-order bars within total ones, and dots for each combination."""
+    """Bars of the sensitivity measure, first-order bars within total ones."""
     effects, measure = sensitivity.effects[:MOST_BARS], sensitivity.measure
     unit = analysed.display if measure == MU_STAR else DisplayUnit("1", "%")
     figure = column_figure(1.25 + 0.27 * len(effects))
@@ -202,16 +201,13 @@ def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
     axes.grid(False, axis="y")
     for row, effect in enumerate(effects):
         _bar(axes, row, effect, measure, unit.factor)
-    dotted = 0 < len(sensitivity.apart) <= MOST_COMBINATIONS
-    if dotted and sensitivity.variance > 0:
-        _combinations(axes, effects, sensitivity, unit.factor)
     names = [effect.label.replace(" (", "\n(") for effect in effects]
     axes.set_yticks(range(len(effects)), names, color=PALETTE.ink)
     axes.set_ylim(len(effects) - 0.4, -0.6)
     right = axes.get_xlim()[1]
     axes.set_xlim(0, right if measure == MU_STAR else min(right, 103.0))  # a fraction is at most 100 %
     limit_ticks(axes.xaxis)
-    if marks := _marks(effects, measure, dotted):
+    if marks := _marks(effects, measure):
         legend(figure, handles=marks, ncols=len(marks), handlelength=1.2, columnspacing=1.2)
     return figure
 
@@ -236,16 +232,7 @@ def _drawn(value: float, measure: str, scale: float) -> float:
     return max(0.0, value if measure == MU_STAR else min(1.0, value)) * scale
 
 
-def _combinations(axes: Axes, effects: tuple[Effect, ...], sensitivity: Sensitivity, scale: float) -> None:
-    """Draw dots for each combination of choices; fractions refer to the variance of the combination."""
-    rows, measure = {effect.name: row for row, effect in enumerate(effects)}, sensitivity.measure
-    shown = [e for combination in sensitivity.apart.values() for e in combination if e.name in rows]
-    x = [_drawn(effect.estimates[measure].value, measure, scale) for effect in shown]
-    y = [rows[effect.name] + 0.24 for effect in shown]
-    axes.plot(x, y, "o", markersize=3, markerfacecolor="none", color=PALETTE.faint, alpha=0.9)
-
-
-def _marks(effects: tuple[Effect, ...], measure: str, dotted: bool) -> list[Patch | Line2D]:
+def _marks(effects: tuple[Effect, ...], measure: str) -> list[Patch | Line2D]:
     """Legend entries of a tornado."""
     marks: list[Patch | Line2D] = []
     if measure == TOTAL:
@@ -257,8 +244,4 @@ def _marks(effects: tuple[Effect, ...], measure: str, dotted: bool) -> list[Patc
     if any("sigma" in effect.more for effect in effects):
         name = "\N{GREEK SMALL LETTER SIGMA} of the effects"
         marks.append(Line2D([], [], label=name, color=PALETTE.bad, marker="|", markersize=10, linewidth=0))
-    if dotted:
-        hollow = Line2D([], [], label="each combination", color=PALETTE.faint, marker="o", linewidth=0)
-        hollow.set(markersize=3, markerfacecolor="none")
-        marks.append(hollow)
     return marks

@@ -5,25 +5,23 @@ The page is one file that needs no network. The JSON file contains the same valu
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure as Drawing
 
-from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit, number
+from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
 from orchestrator.pages.html_page import json_values, write_text
 from orchestrator.pages.plotting import embed
-from orchestrator.results.report import Columns, Facts, Figure, Part, Report, Section, Table, Text
+from orchestrator.results.report import TERMINAL, Columns, Facts, Figure, Part, Report, Section, Table, Text
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.analysis_text import MEASURES, output_description, sentences, size
-from orchestrator.studies.analysis.output_samples import done
-from orchestrator.studies.analysis.results import HEAD, MU_STAR, Analysis, Effect, OutputAnalysis, Sensitivity
+from orchestrator.studies.analysis.analysis_text import output_description, sentences, size
+from orchestrator.studies.analysis.output_samples import counts, done
+from orchestrator.studies.analysis.results import HEAD, Analysis, Effect, OutputAnalysis, Sensitivity
 from orchestrator.studies.report.study_figures import (
     MOST_BARS,
     bands,
@@ -34,32 +32,26 @@ from orchestrator.studies.report.study_figures import (
     shows_medians,
     tornado,
 )
-from orchestrator.studies.store import Results, read
+from orchestrator.studies.store import Results
 from orchestrator.studies.study import START, Choice, Factor, Output, short
 
 PAGE, NUMBERS = "report.html", "analysis.json"
+REASONS = 5  # of failures that a terminal shows
 BANDS = (
     "Line: median over the runs at each time. Area: 5 to 95 %. Dashed: smallest and largest. A single run can"
     " differ from all of these curves"
 )
 METHODS = {"latin": "Latin hypercube", "sobol": "Sobol' points", "grid": "full grid"}
 METHODS |= {"saltelli": "Saltelli design", "morris": "Morris trajectories"}
-BINS = 16  # of the small histograms
 PURE = DisplayUnit("", "")
 
 
-def report(folder: Path) -> Path:
-    """Analyse the finished study in a folder and write both files there; returns the path of the page."""
-    results = read(folder)
-    write(folder, results, analyse(results))
-    return folder / PAGE
-
-
-def write(folder: Path, results: Results, analysis: Analysis) -> None:
-    """Write both files; equal results give equal bytes."""
-    made = study_report(results, analysis)
+def write(folder: Path, results: Results) -> Report:
+    """Analyse a study and write both files; equal results give equal bytes."""
+    made = study_report(results, analyse(results))
     write_text(folder / PAGE, made.html())
     write_text(folder / NUMBERS, made.json() + "\n")
+    return made
 
 
 def study_report(results: Results, analysis: Analysis) -> Report:
@@ -68,42 +60,52 @@ def study_report(results: Results, analysis: Analysis) -> Report:
     answers = [sentences(found)[0] for found in analysis.findings]
     failed = analysis.runs - analysis.succeeded
     left_out = f"{failed} of {analysis.runs} runs failed or ended early; all statistics leave them out"
-    counts = [(study.factors, "factor"), (study.compared, "choice")]
-    varied = [f"{len(some)} {name}{'s' * (len(some) != 1)}" for some, name in counts if some]
+    kinds = [(study.factors, "factor"), (study.compared, "choice")]
+    varied = [f"{len(some)} {name}{'s' * (len(some) != 1)}" for some, name in kinds if some]
     lead = [
         f"{analysis.runs} runs of `{study.system}`, {', '.join([*varied, METHODS[study.method]])}",
         left_out if failed else "All finished",
     ]
     sections = [_output(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)]
+    known: dict[str, Any] = json_values(study)
+    known.pop("folder")  # the location of the study is not a result
+    single = {n: v for n, v in known.items() if v not in ("", None) and not isinstance(v, list | dict)}
     parts: list[Part] = [
+        Text([counts(results), *_causes(analysis)], only=TERMINAL),
         Text(answers[1:]),
         Table(_outputs(analysis)),
+        Text([f"warning: {w}" for w in results.warnings], only=TERMINAL),
         *sections,
         *(Section(f"{name} over time", [Text([BANDS], "soft"), *drawn]) for name, drawn in _bands(results)),
         Section("Failed runs", [Text([left_out] if failed else []), Table(_failures(results, analysis))]),
         Section("Factors and choices", _varied(results, analysis), folded=True),
-        Section("Definition of the study", _definition(results), folded=True),
+        Section("Definition of the study", [Facts(single)], folded=True),
     ]
-    known: dict[str, Any] = json_values(study)
-    known.pop("folder")  # the location of the study is not a result
     texts = {analysed.name: sentences(analysed) for analysed in analysis.findings}
     data = {"study": known, **json_values(analysis), "sentences": texts}
     data.pop("title")
     return Report(analysis.title, answers[0] if answers else "", parts, data, lead=lead)
 
 
+def _causes(analysis: Analysis) -> list[str]:
+    """The most frequent reasons of failed runs, for a terminal."""
+    shown, more = analysis.failures[:REASONS], len(analysis.failures) - REASONS
+    lines = [f"{f.count} of them{', such as' if f.various else ''}: {f.reason}" for f in shown]
+    return [*lines, *([f"... and for {more} other reasons"] if more > 0 else [])]
+
+
 def _outputs(analysis: Analysis) -> TextTable:
     """Median and spread of each output."""
     rows = []
     for found in analysis.findings:
-        spread, text = found.spread, found.display.text
+        spread, unit = found.spread, found.display
         if spread is None:
             cells = [NO_VALUE, "no run has it"]
         elif found.constant:
-            cells = [text(spread.median), f"in all {spread.runs} runs"]
+            cells = [unit.ascii(spread.median), f"in all {spread.runs} runs"]
         else:
-            cells = [text(spread.median), f"{text(spread.low, with_unit=False)} to {text(spread.high)}"]
-        rows.append([_code(found.name), *cells, output_description(found)])
+            cells = [unit.ascii(spread.median), f"{unit.plain(spread.low)} to {unit.ascii(spread.high)}"]
+        rows.append([found.name, *cells, output_description(found)])
     return TextTable(["output", "median", "in nine of ten runs", "what it is"], rows, left=(0, 3))
 
 
@@ -121,8 +123,6 @@ def _output(results: Results, output: Output, found: OutputAnalysis, index: int)
         samples = {"mu_star": "trajectories"}.get(sensitivity.measure, "samples")
         counted = f"{sensitivity.samples} {'runs' if results.study.method == 'grid' else samples}"
         effects = [Table(_effects(sensitivity, found.display), ["Brackets: 95 % intervals"])]
-        apart = replace(_apart(sensitivity, found.display), title="In each combination of choices")
-        effects += [Table(apart)] if sensitivity.apart else []
         parts.append(Section(f"All estimates: {sensitivity.method}, {counted}", effects, folded=True))
         parts.append(Text([*sensitivity.notes, *found.notes], "soft"))
     return Section(found.name, parts)
@@ -146,11 +146,8 @@ def _failures(results: Results, analysis: Analysis) -> TextTable:
 def _varied(results: Results, analysis: Analysis) -> list[Part]:
     """Factors with their samples, choices with their options, and fixed values."""
     study = results.study
-    rows = [
-        [_code(f.name), f.distribution, distribution_text(f), _spark(_bar_heights(results.table[f.column]))]
-        for f in study.factors
-    ]
-    factors = TextTable(["factor", "distribution", "parameters", "samples"], rows, left=range(4))
+    rows = [[f.name, f.distribution, distribution_text(f)] for f in study.factors]
+    factors = TextTable(["factor", "distribution", "parameters"], rows, left=range(3))
 
     def drawn(choice: Choice) -> str:
         if len(choice.options) == 1:
@@ -169,37 +166,6 @@ def _varied(results: Results, analysis: Analysis) -> list[Part]:
     ]
 
 
-def _definition(results: Results) -> list[Part]:
-    """System, samples, runs and outputs of a study."""
-    study = results.study
-    kind = {"saltelli": "base samples", "morris": "trajectories"}.get(study.method, "samples")
-    design = "" if study.method == "grid" else f", {study.runs} {kind}, seed {study.seed}"
-    end = "the default stop time of the system" if study.stop is None else f"{number(study.stop)} s"
-    step = "default of the system" if study.step is None else f"{number(study.step)} s"
-    facts = {
-        "system": study.system,
-        "samples": f"{METHODS[study.method]}{design}",
-        "each run": f"to {end}, step {step}{f', {study.master}' if study.master else ''}",
-    }
-    rows = []
-    for o in study.outputs:
-        window = f"{number(o.start or 0)} s to {'the end' if o.stop is None else f'{number(o.stop)} s'}"
-        whole = o.start is None and o.stop is None
-        signal = [_code(o.name), MEASURES[o.measure], _code(o.signal)]
-        rows.append([*signal, "whole run" if whole else window])
-    return [Facts(facts), Table(TextTable(["output", "measure", "signal", "window"], rows, left=range(4)))]
-
-
-def _spark(bars: Sequence[float]) -> Markup:
-    """A small histogram."""
-    rect = Markup('<rect x="{}" y="{:.3g}" width="0.84" height="{}"/>')
-    drawn = Markup().join(rect.format(k + 0.08, 1 - bar, bar) for k, bar in enumerate(bars))
-    head = (
-        '<svg class="spark" viewBox="0 0 {} 1" preserveAspectRatio="none" role="img" aria-label="{}">{}</svg>'
-    )
-    return Markup(head).format(len(bars), "histogram of the samples", drawn)
-
-
 def distribution_text(factor: Factor) -> str:
     """The distribution of a factor as text, such as `0.5 to 3 bar`."""
     unit = factor_unit(factor)
@@ -214,15 +180,6 @@ def distribution_text(factor: Factor) -> str:
         return f"mean {text['mean']}, standard deviation {text['sd']}{suffix}"
     mode = f", most often {text['mode']}" if factor.distribution == "triangular" else ""
     return f"{text['minimum']} to {text['maximum']}{suffix}{mode}"
-
-
-def _bar_heights(column: pd.Series) -> list[float]:
-    """Heights of the bars of a histogram of samples, the highest 1."""
-    values = column.to_numpy(float)
-    if not len(values) or np.ptp(values) == 0:
-        return [1.0]
-    counts, _ = np.histogram(values, bins=BINS)
-    return [round(float(count / counts.max()), 3) for count in counts]
 
 
 def _spreads(analysed: OutputAnalysis) -> TextTable:
@@ -248,12 +205,8 @@ def _effects(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
     rows = []
     for effect in sensitivity.effects:
         trend = "" if effect.direction is None else f"{effect.direction:+.2f}".replace("-", MINUS)
-        rows.append([_code(effect.label), *(_measure(effect, key, unit) for key in columns), trend])
+        rows.append([effect.label, *(_measure(effect, key, unit) for key in columns), trend])
     return TextTable(["factor or choice", *columns.values(), "rank correlation"], rows)
-
-
-def _code(name: str) -> Markup:
-    return Markup("<code>{}</code>").format(name)
 
 
 def _measure(effect: Effect, key: str, unit: DisplayUnit) -> str:
@@ -264,16 +217,6 @@ def _measure(effect: Effect, key: str, unit: DisplayUnit) -> str:
     return (unit if key in ("mu", "sigma") else PURE).text(effect.more[key])
 
 
-def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
-    """The sensitivity measure of each factor in each combination of choices."""
-    measure, rows = sensitivity.measure, []
-    combinations = [{e.name: e.estimates[measure] for e in effects} for effects in sensitivity.apart.values()]
-    for name in (effect.name for effect in sensitivity.effects if effect.kind == "factor"):
-        cells = [size(c[name], measure, unit) if name in c else NO_VALUE for c in combinations]
-        rows.append([_code(name), *cells])
-    return TextTable(["factor", *sensitivity.apart], rows)
-
-
 def _figures(results: Results, output: Output, analysed: OutputAnalysis, index: int) -> list[Figure]:
     """Sensitivities, dots of all runs, and distribution of an output."""
     sensitivity, figures = analysed.sensitivity, list[Figure]()
@@ -282,8 +225,9 @@ def _figures(results: Results, output: Output, analysed: OutputAnalysis, index: 
         figures.append(Figure(embed(drawing, f"{name[0]}{index}-", name), name, caption, heading))
 
     if sensitivity is not None:
-        hidden = _hidden_effects(sensitivity, analysed.display)
-        add(tornado(analysed, sensitivity), "tornado", "Sensitivities", hidden)
+        count = len(sensitivity.effects)
+        caption = f"The {MOST_BARS} largest of {count}, which are in the table." if count > MOST_BARS else ""
+        add(tornado(analysed, sensitivity), "tornado", "Sensitivities", caption)
         if (dots := scatter(results, output, analysed, sensitivity)) is not None:
             line = "; the line is the median." if shows_medians(results) else "."
             add(dots, "scatter", "Factors with the largest effect", f"A dot for each run{line}")
@@ -291,16 +235,6 @@ def _figures(results: Results, output: Output, analysed: OutputAnalysis, index: 
         drawing = histogram(results, output, analysed, colouring(results, sensitivity))
         add(drawing, "histogram", "Distribution", "Dashed: 5, 50 and 95 % quantiles.")
     return figures
-
-
-def _hidden_effects(sensitivity: Sensitivity, unit: DisplayUnit) -> str:
-    """Caption about the effects that a tornado does not show."""
-    hidden = sensitivity.effects[MOST_BARS:]
-    if not hidden:
-        return ""
-    largest = max(hidden[0].estimates[sensitivity.measure].value, 0.0)
-    bound = unit.text(largest) if sensitivity.measure == MU_STAR else f"{math.ceil(100 * largest)} %"
-    return f"Not shown: {len(hidden)} more, none with more than {bound}."
 
 
 def _bands(results: Results) -> Iterator[tuple[str, list[Figure]]]:
