@@ -37,7 +37,7 @@ from fmus.components import hose
 from fmus.components.chamber import Liquid
 from fmus.identification import balance
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures.experiment_data import STEP_SIGNALS, parameter_value
+from fmus.identification.procedures.experiment_data import parameter_value
 from fmus.identification.procedures.procedure import (
     Fit,
     Parameters,
@@ -144,6 +144,8 @@ def friction(own: Any, known: Sequence[Any], thicker: Any = 0.0) -> hose.Frictio
 
 # ---- resistance
 
+STEADY = {"pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
+MIN_STEPS = 4  # fewer steps of a flow do not tell a viscosity from a zero
 FLOWS = (60.0, 100.0, 200.0, 300.0)  # L/min, at which C_R by Blasius' law is reported
 REFERENCE = f"{hose.REFERENCE_FLOW / LITRES_PER_MINUTE[1]:.0f} L/min"
 STARTS = (-1.0, 0.0, 1.0, 2.0)  # of the logarithm of the viscosity over the known one, in its search
@@ -159,18 +161,15 @@ def drop(p_in: Any, p_out: Any, flow: Any, u: Any, *known: Any) -> Any:
 
 def _steps(_: Recordings, known: Any) -> Parts:
     tested, steps, along = known
-    good, none = steps[steps.good], np.zeros(np.count_nonzero(steps.good))
-    # only the difference of the pressures counts, so that at the outlet is taken as zero
-    means, errors = np.array([good.drop, none, good.flow]), np.array([good.drop_error, none, good.flow_error])
-    law = law_of(drop, len(STEP_SIGNALS), ("C_R", "viscosity"), 4)
-    return [(balance.samples_of(law, STEP_SIGNALS, means, errors, tested.constants), along)]
+    good, law = steps[steps.good], law_of(drop, len(STEADY), ("C_R", "viscosity"), 4)
+    return [(balance.samples_of(law, STEADY, good.means, good.errors, tested.constants), along)]
 
 
 def _turbulent(known: Any, thicker: float = 0.0) -> dict[str, float]:
     """C_R as if all flows were turbulent, and the logarithm of the viscosity over the known one."""
-    good = known[1][known[1].good]
-    turbulent = good.flow * np.abs(good.flow)
-    start = float(np.cov(turbulent, good.drop)[0, 1] / max(np.var(turbulent, ddof=1), TINY))
+    inlet, outlet, flow = known[1].means[:, known[1].good]
+    turbulent = flow * np.abs(flow)
+    start = float(np.cov(turbulent, inlet - outlet)[0, 1] / max(np.var(turbulent, ddof=1), TINY))
     if start <= 0:
         raise Problem(
             f"hose_resistance: the drop pressure_in - pressure_out falls with the flow, C_R = {start:.3g}: "
@@ -238,7 +237,7 @@ def _remarks(fit: Fit) -> Iterator[str]:
     tested, steps, _ = fit.known
     if omissions := steps.omissions():
         flat = ", the flat region at the beginning of Fig. 6" if steps.dead.any() else ""
-        yield f"Left out of {steps.flow.size} steps: {omissions}{flat}."
+        yield f"Left out of {steps.good.size} steps: {omissions}{flat}."
     yield f"C_R is valid for {REFERENCE}. It falls by 16 % for each doubling of the flow."
     if "viscosity" in fit.solution.fit.names:
         yield (
@@ -253,21 +252,19 @@ def _remarks(fit: Fit) -> Iterator[str]:
 
 def _drop_over_flow(fit: Fit) -> tuple[Panel, Panel]:
     """Drop over flow with the law, and the residual."""
-    steps, sample = (
-        fit.known[1].without_zero(data.pressure_offset(fit.solution).value),
-        fit.solution.samples[0],
-    )
-    good, dead = steps[steps.good], steps[steps.dead]
-    flows = np.linspace(0.0, float(np.abs(good.flow).max()), 200)
+    steps, sample = fit.known[1], fit.solution.samples[0]
+    flow, drops = steps.means[2], steps.means[0] - steps.means[1] - data.pressure_offset(fit.solution).value
+    error = np.hypot(*steps.errors[:2, steps.good])
+    flows = np.linspace(0.0, float(np.abs(flow[steps.good]).max()), 200)
     theta = np.array([fit[n] if n in fit.solution.fit.names else 0.0 for n in sample.names])
     none = np.zeros_like(flows)
     law = -np.array(sample.law.terms(np.array([none, none, flows]), theta, sample.known)[0])[0]
     curves = (
-        Curve("measured", good.flow, good.drop, error=good.drop_error),
-        Curve("masked: dead zone of the meter", dead.flow, dead.drop, "masked"),
+        Curve("measured", flow[steps.good], drops[steps.good], error=error),
+        Curve("masked: dead zone of the meter", flow[steps.dead], drops[steps.dead], "masked"),
         Curve("laminar to turbulent", flows, law, "fit", line=True),
     )
-    left = Curve("measured - fit", good.flow, fit.residual(), error=good.drop_error)
+    left = Curve("measured - fit", flow[steps.good], fit.residual(), error=error)
     panel = Panel("flow", "pressure drop", curves, "Drop along the hose", LITRES_PER_MINUTE, BAR)
     return panel, replace(panel, y_label="residual", title="", curves=(left,))
 
@@ -276,9 +273,12 @@ HOSE_RESISTANCE = Procedure(
     name="hose_resistance",
     title="Hose resistance: {0[0].size}",
     figure=6,
-    signals={"pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"},
+    signals=STEADY,
     law="The hose's law",
-    known=lambda tests, parameters: (TestedHose.of(tests, parameters), *data.flow_steps(tests)),
+    known=lambda tests, parameters: (
+        TestedHose.of(tests, parameters),
+        *data.steady_means(tests, STEADY, ["flow"], MIN_STEPS),
+    ),
     samples=_steps,
     start=_turbulent,
     limits=lambda tests: (

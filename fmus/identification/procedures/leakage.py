@@ -70,9 +70,9 @@ def leakage(a: Any, b: Any, flow_a: Any, drain: Any, u: Any, _: Any) -> Any:
 
 def _steady(tests: Recordings, _: Any) -> Parts:
     ports = "pressure_a", "pressure_b"
-    means, errors, along = data.steady_points(tests, MOTOR, ports, MIN_POINTS, data.tank_pressure)
-    law = law_of(leakage, len(MOTOR), (*EQUATIONS, *QUADRATIC))
-    return [(samples_of(law, MOTOR, means, errors), along)]
+    every, along = data.steady_means(tests, MOTOR, ports, MIN_POINTS, data.tank_pressure)
+    law, points = law_of(leakage, len(MOTOR), (*EQUATIONS, *QUADRATIC)), every[every.good]
+    return [(samples_of(law, MOTOR, points.means, points.errors), along)]
 
 
 def _positive(fit: Fit) -> None:

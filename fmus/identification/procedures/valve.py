@@ -48,7 +48,7 @@ from fmus.components.orifice import Edge
 from fmus.identification import balance
 from fmus.identification.balance import SMALLEST, UNLIKELY, Law, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures.experiment_data import STEP_SIGNALS, StepMeans
+from fmus.identification.procedures.experiment_data import SETTLING_TIME, SHORTEST_STEP, Means
 from fmus.identification.procedures.procedure import Computed, misfit
 from fmus.identification.recordings.masks import in_dead_zone, steady
 from fmus.identification.results import (
@@ -67,7 +67,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording
 from orchestrator.data.table import Array
 
-SIGNALS: Mapping[str, str] = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
+READ = {"pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
+SIGNALS: Mapping[str, str] = {"command": "V", **READ}
 VOLTAGES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0)  # V, at which C_R is reported
 REAL = 0.01, 1.5  # full commands, between which the largest command of a bench is
 MIN_VOLTAGES = 3  # different commands at which the flow must be measured
@@ -188,12 +189,12 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
 
 
 @dataclass(frozen=True)
-class ValveSteps(StepMeans):
-    """Means over the steps of one or several edges.
+class ValveSteps(Means):
+    """Means over the steps of one or several edges: of pressure drop [Pa], zero, and flow [m3/s].
 
+    along                    oil temperature, or time from the start, from its mean, over its range
     command, command_error   magnitude [V] and its standard error
     supply_drop              pressure drop from supply to tank [Pa]: the largest over an edge, nearly closed
-    course                   oil temperature, or time from the start, from its mean, over its range
     change                   1 if the command was lower before, -1 if it was higher, 0 for the first step
     density, viscosity       of the tested oil [kg/m3], [Pa.s]
     edge                     "P-A", "P-B", "A-T" or "B-T"
@@ -204,13 +205,33 @@ class ValveSteps(StepMeans):
     command: Array
     command_error: Array
     supply_drop: Array
-    course: Array
     change: Array
     density: Array
     viscosity: Array
     edge: Array
     closed: Mask
     idle_flow: Array
+
+    @property
+    def drop(self) -> Array:
+        """Pressure drop [Pa]; its standard error is the first row of `errors`."""
+        return np.asarray(self.means[0])
+
+    @property
+    def flow(self) -> Array:
+        """Flow [m3/s]; its standard error is the last row of `errors`."""
+        return np.asarray(self.means[2])
+
+    @property
+    def flow_error(self) -> Array:
+        """Standard error of the flow [m3/s]."""
+        return np.asarray(self.errors[2])
+
+    def changed(self, drop: Array | float = 0.0, flow: Array | float = 0.0) -> ValveSteps:
+        """With a drop and a flow that are more by as much."""
+        return replace(
+            self, means=self.means + np.array([drop + 0 * self.drop, 0 * self.drop, flow + 0 * self.drop])
+        )
 
     @property
     def edges(self) -> tuple[str, ...]:
@@ -242,16 +263,16 @@ class ValveSteps(StepMeans):
     def idle(self, c: Known) -> tuple[Array, Array]:
         """Commands of steps whose flow is not told from zero, and the largest areas that read so."""
         shut = self[~self.good & np.isfinite(self.idle_flow)]
-        return shut.command, replace(shut, flow=np.sign(shut.drop) * shut.idle_flow).effective(c)
+        most = np.sign(shut.drop) * shut.idle_flow
+        return shut.command, shut.changed(flow=most - shut.flow).effective(c)
 
     def samples(
         self, c: Known, law: str, names: Mapping[str, str], slope: float = 0.0, at: float = 0.0
     ) -> Samples:
         """The steps in one of the laws; names: those of its unknowns among the unknowns of all steps."""
-        zero = np.zeros_like(self.drop)  # only the difference of the pressures counts
-        others = self.supply_drop, self.change, self.course, self.density, self.viscosity
-        raw = np.array([self.drop, zero, self.flow, self.command, *others])
-        noise = [self.drop_error, zero, self.flow_error, self.command_error, *np.zeros_like(others)]
+        others = self.supply_drop, self.change, self.along, self.density, self.viscosity
+        raw = np.array([*self.means, self.command, *others])
+        noise = [*self.errors, self.command_error, *np.zeros_like(others)]
         known = c.discharge_coefficient, c.transition_reynolds, c.leakage, slope, at
         found = balance.samples_of(laws()[law], CHANNELS, raw, np.array(noise), known)
         return replace(found, names=tuple(names.get(n, n) for n in found.names))
@@ -269,8 +290,14 @@ def _stretches(recording: Recording, c: Known) -> tuple[str, Array, list[slice]]
         expected = "positive" if COMMAND_SIGN[edge] > 0 else "negative"
         raise Problem(f"{recording.source}: command: expected {expected} values, which open {edge}, got none")
     gapless = replace(recording, signals={**recording.signals, "command": command})
-    stretches = steady(gapless, "command", data.SETTLING_TIME, data.SHORTEST_STEP)
-    return edge, command, [step for step in stretches if command[step.start] > -SAME * full]
+    stretches = steady(gapless, "command", SETTLING_TIME, SHORTEST_STEP)
+    steps = [step for step in stretches if command[step.start] > -SAME * full]
+    if not steps:
+        expected = (
+            f"expected commands that are held for {SETTLING_TIME + SHORTEST_STEP:g} s or longer, got none"
+        )
+        raise Problem(f"{recording.source}: {expected}")
+    return edge, command, steps
 
 
 def _steps_of(recording: Recording, c: Known) -> ValveSteps:
@@ -278,11 +305,12 @@ def _steps_of(recording: Recording, c: Known) -> ValveSteps:
     edge, command, steps = _stretches(recording, c)
     # samples would look stuck with a noise that is much too large, a dead zone certain with one too small
     scatter, sensors = _scatter(recording, c), dict(recording.sensors)
-    for name in STEP_SIGNALS:
+    for name in READ:
         sensors[name] = replace(recording.sensor(name), noise=data.noise_sd(scatter, name))
     recording = replace(recording, sensors=sensors)
-    means, meter = data.step_means(recording, steps), recording.sensor("flow")
-    highest = (np.sign(means.drop) * means.flow + CERTAIN * means.flow_error)[means.good]  # along the drop
+    means, meter = data.means_over(recording, READ, steps), recording.sensor("flow")
+    drop, flow = means.means[0] - means.means[1], means.means[2]
+    highest = (np.sign(drop) * flow + CERTAIN * means.errors[2])[means.good]  # along the drop
     wrong_way = int(np.count_nonzero(highest < 0))
     if wrong_way > highest.size / 2:
         raise Problem(
@@ -293,22 +321,24 @@ def _steps_of(recording: Recording, c: Known) -> ValveSteps:
     middle = np.array([command[step].mean() for step in steps])
     size = np.sqrt([step.stop - step.start for step in steps])
     oil = {n: data.stated(recording, n) or getattr(c, n) for n in ("density", "viscosity")}
-    largest = means.drop[np.nanargmax(np.abs(means.drop))] if np.isfinite(means.drop).any() else 0.0
+    largest = drop[np.nanargmax(np.abs(drop))] if np.isfinite(drop).any() else 0.0
     of_dead = np.array([np.nanstd(recording["flow"][step]) for step in steps]) / size
-    flow_error = np.where(means.dead, np.maximum(of_dead, meter.resolution / 12**0.5), means.flow_error)
-    errors = means.drop_error, flow_error
+    in_dead = np.maximum(of_dead, meter.resolution / 12**0.5)
+    errors = np.hypot(*means.errors[:2]), np.where(means.dead, in_dead, means.errors[2])
     usual = [float(np.median(e[means.good])) if means.good.any() else 0.0 for e in errors]
-    along, _ = data.course(recording, steps)
+    flow_error = np.where(means.good, np.maximum(errors[1], usual[1]), errors[1])
+    zero = np.zeros_like(drop)  # only the difference of the pressures counts
+    along = (means.along - means.along.mean()) / (float(np.ptp(means.along)) or 1.0)
     return ValveSteps(
         **vars(means)
         | {
-            "drop_error": np.maximum(means.drop_error, usual[0]),
-            "flow_error": np.where(means.good, np.maximum(flow_error, usual[1]), flow_error),
+            "means": np.array([drop, zero, flow]),
+            "errors": np.array([np.maximum(errors[0], usual[0]), zero, flow_error]),
+            "along": along,
         },
         command=np.abs(middle),
         command_error=np.array([command[step].std() for step in steps]) / size,
         supply_drop=np.full(len(steps), largest),
-        course=(along - along.mean()) / (float(np.ptp(along)) or 1.0),
         change=np.sign(np.diff(middle, prepend=middle[:1])),
         **{n: np.full(len(steps), value) for n, value in oil.items()},
         edge=np.full(len(steps), edge),
@@ -321,7 +351,7 @@ def _scatter(recording: Recording, c: Known) -> Recording:
     """The recording less its means over the steps; gaps elsewhere, and in the dead zone of the meter."""
     signals, sensors = dict(recording.signals), dict(recording.sensors)
     steps = _stretches(recording, c)[2]
-    for name in STEP_SIGNALS:
+    for name in READ:
         sensor = recording.sensor(name)
         read = np.where(in_dead_zone(recording[name], sensor), np.nan, recording[name])
         signals[name], sensors[name] = np.full_like(read, np.nan), replace(sensor, dead_zone=0.0)
@@ -526,7 +556,8 @@ class ValveFit:
         """The steps without the zero of the pressures, at the commands that they would have without a lag."""
         lag = self.effects["lag"][0] if "lag" in self.freed else 0.0
         command = np.maximum(self.steps.command - lag * self.steps.change / 2, 0.0)
-        return replace(self.steps.without_zero(data.pressure_offset(self.solution).value), command=command)
+        zero = data.pressure_offset(self.solution).value
+        return replace(self.steps.changed(drop=-zero), command=command)
 
     @cached_property
     def openings(self) -> Mapping[str, Opening]:
@@ -810,7 +841,7 @@ def _nodes(steps: ValveSteps, c: Known, solved: Solve, labels: Sequence[str]) ->
 def _lines(steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: Sequence[str]) -> Lines | None:
     """A line for each edge, or one for all for the label "", with its rounding; None if there is no fit."""
     samples, start = list[Samples](), dict[str, float]()
-    read = np.isfinite(steps.flow_error + steps.drop_error) & ~steps.dead & ~steps.clipped
+    read = np.isfinite(steps.errors).all(axis=0) & ~steps.dead & ~steps.clipped
     for label in labels:
         s, names = steps[read].of(label), {n: f"{n}{label}" for n in LINE}
         samples.append(s.samples(c, "line", names))
@@ -858,7 +889,7 @@ def _findings(
     """One finding per assumption: the edge that contradicts it most, for as many edges as were tested."""
     scatters = [_scatter(r, found.known) for r in recordings]
     for every, noise in ((scatters, True), (recordings, False)):
-        found_in = data.signal_findings(every, STEP_SIGNALS, "valve")
+        found_in = data.signal_findings(every, READ, "valve")
         yield from (f for f in found_in if (f.fault == "noise") == noise)
     yield from _zeros(recordings, found)
     # the noise of these alone is tested: commands and what was known are exact
@@ -1114,10 +1145,12 @@ def panels(found: ValveFit) -> tuple[Panel, ...]:
         gains.append(Curve(f"fit{label}", volts, gain * area, "fit", line=True))
     for edge, opening in found.openings.items():
         s = good.of(edge)
-        points.append(Curve(edge, s.command, np.abs(s.resistance), error=s.resistance_error))
+        resistance, (drop_error, *_) = np.abs(s.drop) / s.flow**2, s.errors / np.abs(s.drop)
+        own = resistance * np.hypot(drop_error, 2 * s.flow_error / s.flow)  # twice, as C_R ~ 1/Q^2
+        points.append(Curve(edge, s.command, resistance, error=own))
         area = s.effective(c)
         left = (area - opening.drawn(s.command)) / area * np.abs(s.flow)
-        error = np.hypot(s.flow_error, s.flow * s.drop_error / s.drop / 2)
+        error = np.hypot(s.flow_error, s.flow * drop_error / 2)
         residuals.append(Curve(edge, s.command, left, error=error))
     return (
         Panel(COMMAND, RESISTANCE, (*points, *lines), "Resistance of each edge", log=True),
