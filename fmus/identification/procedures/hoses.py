@@ -53,7 +53,9 @@ from fmus.identification.results import BAR, LITRES_PER_MINUTE, Curve, Estimate,
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
+Factor = Callable[[float, float], float]  # of the ratios of length and bore
 AXES = ("boom_stick.stick_hose", "boom_stick.boom_hose")
+UNITS = {"C_R": "Pa.s2/m6", "I": "kg/m4", "C": "m3/Pa"}
 WIDEST = 3.0  # of the logarithm of a viscosity over the known one, in a search that diverges
 
 
@@ -88,14 +90,10 @@ class TestedHose:
         return parameter_value(self.parameters, "boom_stick.density") / self.density
 
     @property
-    def modulus(self) -> float:
-        """Bulk modulus of the oil [Pa]."""
-        return parameter_value(self.parameters, "boom_stick.bulk_modulus")
-
-    @property
     def frequency(self) -> float:
         """Of eq. (3), above which it is no single lump [Hz]."""
-        return float(hose.frequency_limit(self.length, self.density, self.modulus))
+        modulus = parameter_value(self.parameters, "boom_stick.bulk_modulus")
+        return float(hose.frequency_limit(self.length, self.density, modulus))
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -103,14 +101,7 @@ class TestedHose:
         return self.length, self.bore, self.density, self.viscosity
 
     def scaled(
-        self,
-        quantity: str,
-        unit: str,
-        unknown: str,
-        lines: Sequence[str],
-        factor: Callable[[float, float], float],
-        note: str,
-        scaling: str,
+        self, quantity: str, unknown: str, lines: Sequence[str], factor: Factor, note: str, scaling: str
     ) -> list[Quantity]:
         """A quantity of the machine's lines: `factor` of the ratios of length and bore times the unknown.
 
@@ -119,10 +110,9 @@ class TestedHose:
         found = []
         for line in lines:
             length, bore = (parameter_value(self.parameters, f"{line}_{n}") for n in ("length", "bore"))
-            ratio = factor(length / self.length, bore / self.bore)
-            about = f"{length:g} m, {bore * 1e3:.4g} mm"
-            how = note + (scaling.format(ratio=ratio, size=about, own=self) if abs(ratio - 1) > 1e-9 else "")
-            found.append(Quantity(f"{line}_{quantity}", unit, unknown, how, ratio))
+            ratio, size = factor(length / self.length, bore / self.bore), f"{length:g} m, {bore * 1e3:.4g} mm"
+            how = note + scaling.format(ratio=ratio, size=size, own=self) * (abs(ratio - 1) > 1e-9)
+            found.append(Quantity(f"{line}_{quantity}", UNITS[unknown], unknown, how, ratio))
         return found
 
     def remark(self) -> str:
@@ -198,7 +188,7 @@ def _resistances(fit: Fit) -> list[Quantity]:
     tested: TestedHose = fit.known[0]
     thicker = tested.to_density**0.75
     return tested.scaled(
-        *("resistance", UNITS["C_R"], "C_R", AXES),
+        *("resistance", "C_R", AXES),
         lambda length, bore: float(hose.scaled_resistance(thicker, length, bore)),
         *(f"Blasius, section 4(b), at {REFERENCE}", ", eq. (10) from {own.length:g} m to {size}"),
     )
@@ -301,7 +291,6 @@ HOSE_RESISTANCE = Procedure(
 MOVING = {"pressure_in": "Pa", "pressure_out": "Pa", "flow_in": "m3/s", "flow_out": "m3/s"}
 PAIRS = ("pressure_in", "pressure_out"), ("pressure_out", "flow_out")  # that may share a logger
 UNKNOWNS = ("I", "C", "C_R", "R", "s", "r")
-UNITS = {"C_R": "Pa.s2/m6", "I": "kg/m4", "C": "m3/Pa"}
 EQUAL = ("I", "C")  # in all recordings of a hose
 PERIODS = 4.0  # half width of the windows, in periods of the frequency of eq. (3)
 SAMPLES_PER_PERIOD = 2.5  # minimum, above Nyquist's two
@@ -348,13 +337,12 @@ def _windows(tests: Recordings, tested: TestedHose) -> Parts:
 
 def _start(tested: TestedHose) -> dict[str, float]:
     """From the machine's hose and the known bulk modulus."""
-    own, length, bore = (
-        parameter_value(tested.parameters, f"boom_stick.stick_hose_{n}")
-        for n in ("resistance", "length", "bore")
-    )
+    names = ("bulk_modulus", *(f"stick_hose_{n}" for n in ("resistance", "length", "bore")))
+    known = (parameter_value(tested.parameters, f"boom_stick.{n}") for n in names)
+    modulus, own, length, bore = known
     return {
         "I": float(hose.inertance(tested.length, tested.bore, tested.density)),
-        "C": float(hose.capacitance(tested.length, tested.bore, tested.modulus)),
+        "C": float(hose.capacitance(tested.length, tested.bore, modulus)),
         "C_R": float(hose.scaled_resistance(own, tested.length / length, tested.bore / bore)),
         **dict.fromkeys(("R", "s", "r"), 0.0),
     }
@@ -364,8 +352,7 @@ def _estimates(fit: Fit) -> list[Quantity]:
     """The machine's lines."""
     tested: TestedHose = fit.known
     about = "regression over windows, section 4(c)", ", times {ratio:.4g} for {size} and the machine's oil"
-    inertance = "inertance", UNITS["I"], "I", (*AXES, "swing.line")
-    capacitance = "capacitance", UNITS["C"], "C", AXES
+    inertance, capacitance = ("inertance", "I", (*AXES, "swing.line")), ("capacitance", "C", AXES)
     return [
         *tested.scaled(*inertance, lambda length, bore: tested.to_density * length / bore**2, *about),
         *tested.scaled(*capacitance, lambda length, bore: length * bore**2, *about),
