@@ -2,8 +2,8 @@
 
     x' B = a        a = tau - M q'' - V - G        x' = q' of the swing, J q' of a piston
 
-tau is that of measured pressures; M, V, G are those of the manipulator, with the known viscous friction of
-the joints. B is the unknown of the momentum balance (`momentum_balance`), without accelerations.
+tau is that of measured pressures, less the known viscous friction of the joints; M, V, G are those of the
+manipulator. B is the unknown of the momentum balance (`momentum_balance`), without accelerations.
 
 Validity: viscous friction, all other parameters known. A dry friction is a further unknown if it is clear. B
 absorbs all other effects, as the paper notes; the remarks quantify them.

@@ -86,7 +86,6 @@ FURTHER = 10.0  # limits of a zero up to which it may be a fault of a sensor
 COMMAND, RESISTANCE = "command [V]", "C_R [Pa.s2/m6]"  # labels of axes
 PRESSURES = ("pressure_in", "pressure_out")
 CHANNELS = (*PRESSURES, "flow", "command", "supply drop", "change", "course", "density", "viscosity")
-SCATTERED = [CHANNELS.index(n) for n in ("pressure_in", "flow")]
 EFFECTS, LINE = ("lag", "drift"), ("slope", "start")  # unknowns of all edges, and of one straight opening
 LEAK, LEAK_SD = "leak", 1.0  # of the leakage over the known one, less one: it is assumed, not measured
 FINE, DRAWN = 1000, 96  # roundings between those of a profile, and commands at which an opening is drawn
@@ -190,7 +189,7 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
 
 @dataclass(frozen=True)
 class ValveSteps(Means):
-    """Means over the steps of one or several edges: of pressure drop [Pa], zero, and flow [m3/s].
+    """Means over the steps of one or several edges, of the signals `READ`.
 
     along                    oil temperature, or time from the start, from its mean, over its range
     command, command_error   magnitude [V] and its standard error
@@ -214,24 +213,18 @@ class ValveSteps(Means):
 
     @property
     def drop(self) -> Array:
-        """Pressure drop [Pa]; its standard error is the first row of `errors`."""
-        return np.asarray(self.means[0])
+        """Pressure drop [Pa]."""
+        return np.asarray(self.means[0] - self.means[1])
 
     @property
     def flow(self) -> Array:
-        """Flow [m3/s]; its standard error is the last row of `errors`."""
+        """Flow [m3/s]."""
         return np.asarray(self.means[2])
 
     @property
     def flow_error(self) -> Array:
         """Standard error of the flow [m3/s]."""
         return np.asarray(self.errors[2])
-
-    def changed(self, drop: Array | float = 0.0, flow: Array | float = 0.0) -> ValveSteps:
-        """With a drop and a flow that are more by as much."""
-        return replace(
-            self, means=self.means + np.array([drop + 0 * self.drop, 0 * self.drop, flow + 0 * self.drop])
-        )
 
     @property
     def edges(self) -> tuple[str, ...]:
@@ -263,8 +256,8 @@ class ValveSteps(Means):
     def idle(self, c: Known) -> tuple[Array, Array]:
         """Commands of steps whose flow is not told from zero, and the largest areas that read so."""
         shut = self[~self.good & np.isfinite(self.idle_flow)]
-        most = np.sign(shut.drop) * shut.idle_flow
-        return shut.command, shut.changed(flow=most - shut.flow).effective(c)
+        most = np.array([*shut.means[:2], np.sign(shut.drop) * shut.idle_flow])
+        return shut.command, replace(shut, means=most).effective(c)
 
     def samples(
         self, c: Known, law: str, names: Mapping[str, str], slope: float = 0.0, at: float = 0.0
@@ -322,20 +315,14 @@ def _steps_of(recording: Recording, c: Known) -> ValveSteps:
     size = np.sqrt([step.stop - step.start for step in steps])
     oil = {n: data.stated(recording, n) or getattr(c, n) for n in ("density", "viscosity")}
     largest = drop[np.nanargmax(np.abs(drop))] if np.isfinite(drop).any() else 0.0
-    of_dead = np.array([np.nanstd(recording["flow"][step]) for step in steps]) / size
-    in_dead = np.maximum(of_dead, meter.resolution / 12**0.5)
-    errors = np.hypot(*means.errors[:2]), np.where(means.dead, in_dead, means.errors[2])
-    usual = [float(np.median(e[means.good])) if means.good.any() else 0.0 for e in errors]
-    flow_error = np.where(means.good, np.maximum(errors[1], usual[1]), errors[1])
-    zero = np.zeros_like(drop)  # only the difference of the pressures counts
+    errors, in_dead = means.errors.copy(), np.array([np.nanstd(recording["flow"][step]) for step in steps])
+    errors[2, means.dead] = np.maximum(in_dead / size, meter.resolution / 12**0.5)[means.dead]
+    if means.good.any():  # of few samples, an error is too small by chance
+        usual = np.median(errors[:, means.good], axis=1, keepdims=True)
+        errors[:, means.good] = np.maximum(errors[:, means.good], usual)
     along = (means.along - means.along.mean()) / (float(np.ptp(means.along)) or 1.0)
     return ValveSteps(
-        **vars(means)
-        | {
-            "means": np.array([drop, zero, flow]),
-            "errors": np.array([np.maximum(errors[0], usual[0]), zero, flow_error]),
-            "along": along,
-        },
+        **vars(means) | {"errors": errors, "along": along},
         command=np.abs(middle),
         command_error=np.array([command[step].std() for step in steps]) / size,
         supply_drop=np.full(len(steps), largest),
@@ -711,8 +698,8 @@ class ValveFit:
         """The steps without the zero of the pressures, at the commands that they would have without a lag."""
         lag = self.effects["lag"][0] if "lag" in self.freed else 0.0
         command = np.maximum(self.steps.command - lag * self.steps.change / 2, 0.0)
-        zero = data.pressure_offset(self.solution).value
-        return replace(self.steps.changed(drop=-zero), command=command)
+        zeros = np.array([[data.pressure_offset(self.solution).value], [0.0], [0.0]])
+        return replace(self.steps, means=self.steps.means - zeros, command=command)
 
     @cached_property
     def openings(self) -> Mapping[str, Opening]:
@@ -870,7 +857,7 @@ def _findings(
         yield from (f for f in found_in if (f.fault == "noise") == noise)
     yield from _zeros(recordings, found)
     # the noise of these alone is tested: commands and what was known are exact
-    own = [replace(s, raw=s.raw[SCATTERED], sd=s.sd[SCATTERED]) for s in found.nodes.solution.samples]
+    own = [replace(s, raw=s.raw[: len(READ)], sd=s.sd[: len(READ)]) for s in found.nodes.solution.samples]
     yield misfit("valve", replace(found.nodes.solution, samples=own))
     lag, drift = (found.effects.get(name, (0.0, 0.0)) for name in EFFECTS)
     told = f"after a rising command the opening lags by {lag[0]:.2g} +- {lag[1]:.1g} V"
@@ -970,16 +957,13 @@ def _of(opening: Opening, suffix: str, note: str) -> Iterator[Estimate]:
 
 
 def _others(found: ValveFit) -> Iterator[Estimate]:
-    """The hysteresis, where it is significant; area and start of each edge, openings of the tables."""
+    """The hysteresis, where it is significant; area and start of each edge."""
     if "lag" in found.freed:
         note = "from steps with rising and falling commands"
         yield Estimate.normal("hysteresis", found.effects["lag"][0], "V", found.effects["lag"][1], note)
     for edge, opening in found.openings.items():
         own = found.straight.of[edge] if found.straight else opening
         yield from _of(own, f"[{edge}]", f"fit of {np.count_nonzero(found.steps.of(edge).good)} steps")
-        for k, v in enumerate(() if found.straight else opening.table.command):
-            note, name = "point of the table, relative to valve_area", f"opening[{edge}]({v:.3g} V)"
-            yield _point(opening.table, k, found, name, note)
 
 
 def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estimate]:
@@ -1005,15 +989,10 @@ def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estim
         for i, command in enumerate((table.start, *table.command), 1):
             yield exact(f"{name}_command_{i}", float(command), "V", note)
         yield exact(f"{name}_opening_1", 0.0, "1", note)
-        for k in range(len(table.areas)):
-            point = _point(table, k, found, f"{name}_opening_{k + 2}", note)
-            yield replace(point, listed=f"{name}_openings")
-
-
-def _point(table: Table, k: int, found: ValveFit, name: str, note: str) -> Estimate:
-    """One area of a table relative to that of the widest edge at full command."""
-    e, full = table.areas[k], found.widest.full.value
-    return Estimate(name, e.value / full, "1", e.sd / full, e.low / full, e.high / full, note)
+        full = found.widest.full.value
+        for k, e in enumerate(table.areas, 2):
+            ends = (x / full for x in (e.sd, e.low, e.high))
+            yield Estimate(f"{name}_opening_{k}", e.value / full, "1", *ends, note, f"{name}_openings")
 
 
 def _resistances(found: ValveFit) -> Iterator[Estimate]:
@@ -1120,7 +1099,7 @@ def panels(found: ValveFit) -> tuple[Panel, ...]:
         gains.append(Curve(f"fit{label}", volts, gain * area, "fit", line=True))
     for edge, opening in found.openings.items():
         s = good.of(edge)
-        resistance, (drop_error, *_) = np.abs(s.drop) / s.flow**2, s.errors / np.abs(s.drop)
+        resistance, drop_error = np.abs(s.drop) / s.flow**2, np.hypot(*s.errors[:2]) / np.abs(s.drop)
         own = resistance * np.hypot(drop_error, 2 * s.flow_error / s.flow)  # twice, as C_R ~ 1/Q^2
         points.append(Curve(edge, s.command, resistance, error=own))
         area = s.effective(c)
