@@ -165,7 +165,7 @@ WEIGHTS, SEALS = (40.0, 80.0, 120.0, 160.0, 100.0, 60.0), 1e-12
 
 def hold(seals: float = SEALS, square: float = 0.0) -> Experiment:
     """A cylinder holds weights, each for 5 s; leakage past its seals as in `hold_test`."""
-    time, pressure = levels(1e5 * np.array(WEIGHTS), 5.0, 0.2)
+    time, pressure = levels([1e5 * weight for weight in WEIGHTS], 5.0, 0.2)
     signals = hold_test(time, pressure, seals, square)
     named, bore = ("seal_leakage", "Cylinder with worn seals, hold test"), Condition(BORE, "m")
     return replace(_bench(named, time, signals, bore=bore), machine="lumped")

@@ -50,7 +50,7 @@ from fmus.identification.balance import SMALLEST, UNLIKELY, Law, Samples, Soluti
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import SETTLING_TIME, SHORTEST_STEP, Means
 from fmus.identification.procedures.procedure import Computed, misfit
-from fmus.identification.recordings.masks import in_dead_zone, steady
+from fmus.identification.recordings.masks import MIN_GOOD, in_dead_zone, steady
 from fmus.identification.results import (
     BAR,
     LITRES_PER_MINUTE,
@@ -77,7 +77,6 @@ COMMAND_SIGN = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}
 SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges that one direction opens
 OTHER_SIZE = 3.0  # times the known area: a wrong unit is more likely than such a valve
 SAME_OIL = 0.01  # relative difference of two densities of one oil
-MOST = 0.5  # share of the samples of a step that show its scatter
 SAME = 2e-3  # of the full command: steps that are closer have one command
 CERTAIN = 4.0  # standard errors above which a flow is certain
 SHARP, WIDTHS = 1e-3, 17  # V, the shortest rounding that the machine reads; number of roundings of a profile
@@ -343,7 +342,7 @@ def _scatter(recording: Recording, c: Known) -> Recording:
         read = np.where(in_dead_zone(recording[name], sensor), np.nan, recording[name])
         signals[name], sensors[name] = np.full_like(read, np.nan), replace(sensor, dead_zone=0.0)
         for step in steps:
-            if np.isfinite(read[step]).mean() > MOST:
+            if np.isfinite(read[step]).mean() >= MIN_GOOD:
                 signals[name][step] = read[step] - np.nanmean(read[step])
     return replace(recording, signals=signals, sensors=sensors)
 
@@ -596,17 +595,15 @@ def straight_opening(
     middle, low, high = ends
     start = Estimate("", middle, "V", math.sqrt(by_line @ covariance @ by_line), low, high, note)
     command = np.array([s.command.mean() for s in steps.grouped(c)])
-    line = Opening(
-        *(command[command < c.full_command * (1 + SAME)], *[np.empty(0)] * 3),
-        start=start,
-        zero=(zero, fitted.sd(names[1])),
-        full_command=c.full_command,
+    command, nothing = command[command < c.full_command * (1 + SAME)], np.empty(0)
+    opening = Opening(
+        *(command, nothing, nothing, nothing, start, (zero, fitted.sd(names[1])), c.full_command),
         drift=_drift(solution),
         line=(np.array([slope, zero, w]), covariance),
         rounding=None if note else rounding,
     )
-    area, of_areas = line.on_line(line.command)
-    return replace(line, area=area, covariance=of_areas, noise=np.full(area.size, SMALLEST * area[-1]))
+    area, of_areas = opening.on_line(command)
+    return replace(opening, area=area, covariance=of_areas, noise=np.full(area.size, SMALLEST * area[-1]))
 
 
 def _drift(solution: Solution) -> float:
@@ -991,8 +988,8 @@ def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estim
         yield exact(f"{name}_opening_1", 0.0, "1", note)
         full = found.widest.full.value
         for k, e in enumerate(table.areas, 2):
-            ends = (x / full for x in (e.sd, e.low, e.high))
-            yield Estimate(f"{name}_opening_{k}", e.value / full, "1", *ends, note, f"{name}_openings")
+            value, sd, low, high = (x / full for x in (e.value, e.sd, e.low, e.high))
+            yield Estimate(f"{name}_opening_{k}", value, "1", sd, low, high, note, f"{name}_openings")
 
 
 def _resistances(found: ValveFit) -> Iterator[Estimate]:
