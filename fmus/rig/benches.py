@@ -110,53 +110,43 @@ def run(states: Start, bench: Bench, time: Array, inputs: Mapping[str, Array]) -
     return dict(zip(outputs, results.T, strict=True))
 
 
-class BenchValve:
-    """The valve of the lumped or of the detailed machine between supply and return line of the bench.
+SPOOL: Start = {"position": (0.0, 1.0), "speed": (0.0, 10.0)}  # states, which only the detailed valve has
 
-    states   initial and nominal value of each state of the spool, which only the detailed one has
+
+def valve_circuit(
+    machine: str, x: ByName, command: Scalar, nodes: tuple[str, str], flows: tuple[Scalar, Scalar]
+) -> tuple[Circuit, ByName]:
+    """Lines and edges of the valve of a machine, and rates of its spool.
+
+    nodes, flows   of ports A and B; flows [m3/s] out of them
     """
-
-    def __init__(self, machine: str) -> None:
-        self._spool = machine == "detailed"
-        self.states = {"position": (0.0, 1.0), "speed": (0.0, 10.0)} if self._spool else {}
-
-    def circuit(
-        self, x: ByName, command: Scalar, port: str, flow: Scalar, at: str = "A"
-    ) -> tuple[Circuit, ByName]:
-        """Lines and edges, and rates of the spool.
-
-        port, flow, at   name of the node, flow [m3/s] out of it, A or B; the other port is closed
-        """
-        flows = (flow, 0.0) if at == "A" else (0.0, flow)
-        rates: ByName = {}
-        if self._spool:
-            p, state = drives("detailed"), SpoolState(x["position"], x["speed"])
-            ports = spool_valve.spool_ports(p.valve, p.spool, state.position, flows, LINES, p)
-            commanded = spool_valve.commanded_position(command, p.valve.full_command)
-            rates = vars(spool_valve.spool_rates(p.spool, state, commanded))
-        else:
-            p = drives("lumped")
-            ports = spool_valve.ports_from_flow(p.valve, command, flows, LINES, p)
-        names = (port, "closed port") if at == "A" else ("closed port", port)
-        nodes = {name: Node(found.pressure) for name, found in zip(names, ports, strict=True)}
-        nodes |= {circuit.SUPPLY: Node(SUPPLY), TANK: Node(RETURN)}
-        return Circuit(nodes, spool_valve.branches(ports, names)), rates
+    p, rates = drives(machine), dict[str, Scalar]()
+    if machine == "detailed":
+        state = SpoolState(x["position"], x["speed"])
+        ports = spool_valve.spool_ports(p.valve, p.spool, state.position, flows, LINES, p)
+        commanded = spool_valve.commanded_position(command, p.valve.full_command)
+        rates = vars(spool_valve.spool_rates(p.spool, state, commanded))
+    else:
+        ports = spool_valve.ports_from_flow(p.valve, command, flows, LINES, p)
+    lines = {circuit.SUPPLY: Node(SUPPLY), TANK: Node(RETURN)}
+    ends = {name: Node(port.pressure) for name, port in zip(nodes, ports, strict=True)}
+    return Circuit(ends | lines, spool_valve.branches(ports, nodes)), rates
 
 
 def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> dict[str, Array]:
     """Pressures [Pa] and flows [m3/s] at both ends of the hose, for commands [V] and the throttle's C_R."""
     # also for the lumped machine: the ideal valve would cause steps within a sample, which cannot be recorded
-    spool = BenchValve("detailed")
     line, start = (_detailed_hose if machine == "detailed" else _lumped_hose)(resistance)
 
     def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
-        valve, rates = spool.circuit(x, u["command"], "pressure_in", x["flow_in"])
+        ports, flows = ("pressure_in", "closed port"), (x["flow_in"], 0.0)
+        valve, rates = valve_circuit("detailed", x, u["command"], ports, flows)
         whole = valve | line(x)
         known = whole.pressures | whole.flows
         shown = ("pressure_in", "pressure_out", "flow_in", "flow_out")
         return whole, rates, {name: known[name] for name in shown}
 
-    return run(start | spool.states, bench, time, {"command": command})
+    return run(start | SPOOL, bench, time, {"command": command})
 
 
 def _lumped_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]:
@@ -234,15 +224,16 @@ BLOCK = 0.5e-3  # m3, volume
 
 def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Array]:
     """Pressures upstream and downstream of the edge [Pa] and its flow [m3/s], for commands [V]."""
-    spool, p = BenchValve(machine), drives("lumped")
-    from_supply = edge.startswith("P")
+    p, from_supply = drives("lumped"), edge.startswith("P")
+    ports = ("port", "closed port") if "A" in edge else ("closed port", "port")
     other_end, start = (TANK, RETURN) if from_supply else (circuit.SUPPLY, SUPPLY)
     fraction = LINE / drives("detailed").stick.hose.length
     friction = p.stick.hose.friction(p)
 
     def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
         flow = x["flow"]  # out of the port
-        of_valve, rates = spool.circuit(x, u["command"], "port", flow, "A" if "A" in edge else "B")
+        flows = (flow, 0.0) if "A" in edge else (0.0, flow)
+        of_valve, rates = valve_circuit(machine, x, u["command"], ports, flows)
         whole = of_valve | Circuit(
             {"block": Node(x["block"], "C", BLOCK / p.bulk_modulus)},
             {
@@ -260,7 +251,7 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
 
     leakage = start_flow(p.valve.leakage) * (1 if from_supply else -1)
     states = {"flow": (leakage, 1e-3), "block": (start, 1e7)}
-    return run(states | spool.states, bench, time, {"command": command})
+    return run(states | (SPOOL if machine == "detailed" else {}), bench, time, {"command": command})
 
 
 BORE, ENCLOSED = 0.1, 4e-3  # m, of the cylinder; m3, oil that its head side encloses
