@@ -136,7 +136,6 @@ def friction(own: Any, known: Sequence[Any], thicker: Any = 0.0) -> hose.Frictio
 
 STEADY = {"pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 MIN_STEPS = 4  # fewer steps of a flow do not tell a viscosity from a zero
-FLOWS = (60.0, 100.0, 200.0, 300.0)  # L/min, at which C_R by Blasius' law is reported
 REFERENCE = f"{hose.REFERENCE_FLOW / LITRES_PER_MINUTE[1]:.0f} L/min"
 STARTS = (-1.0, 0.0, 1.0, 2.0)  # of the logarithm of the viscosity over the known one, in its search
 FURTHER = 12.0  # by which the chi-square of a free viscosity is less: 1 in 2000 by chance
@@ -195,13 +194,9 @@ def _resistances(fit: Fit) -> list[Quantity]:
 
 
 def _of_tested(fit: Fit) -> Iterator[Estimate]:
-    """C_R of the tested hose, also at other flows; what was estimated with it."""
+    """C_R of the tested hose, and what was estimated with it."""
     yield fit.estimate(Quantity("C_R", UNITS["C_R"], "C_R", "the tested hose"))
     yield data.pressure_offset(fit.solution)
-    for q in FLOWS:
-        factor = (hose.REFERENCE_FLOW / (q * LITRES_PER_MINUTE[1])) ** 0.25
-        note = "Blasius, where the flow is turbulent"
-        yield fit.estimate(Quantity(f"C_R({q:g} L/min)", UNITS["C_R"], "C_R", note, factor))
     if "viscosity" in fit.solution.fit.names:
         note = "of the tested oil over the known one, by the small flows"
         yield fit.derived("viscosity ratio", "1", note, "viscosity", math.exp)
@@ -228,7 +223,7 @@ def _remarks(fit: Fit) -> Iterator[str]:
     if omissions := steps.omissions():
         flat = ", the flat region at the beginning of Fig. 6" if steps.dead.any() else ""
         yield f"Left out of {steps.good.size} steps: {omissions}{flat}."
-    yield f"C_R is valid for {REFERENCE}. It falls by 16 % for each doubling of the flow."
+    yield f"C_R is valid for {REFERENCE}. With the flow it falls as Q^(-1/4), by 16 % for each doubling."
     if "viscosity" in fit.solution.fit.names:
         yield (
             f"The small flows are those of {math.exp(fit['viscosity']):.3g} times the viscosity. C_R is "
