@@ -101,9 +101,6 @@ MOTOR_LEAKAGE = Procedure(
         Quantity(f"{n}_leakage_resistance", "Pa.s/m3", n, f"eq. {equation}, steady pressures", inverse=True)
         for n, equation in EQUATIONS.items()
     ],
-    others=lambda fit: (
-        fit.estimate(Quantity(f"conductance, {n} leakage", "m3/(s.Pa)", n, "1/R")) for n in EQUATIONS
-    ),
     panels=lambda fit: (
         *fit.line(Panel("P_1 - P_2", "internal leakage", (), "", *UNITS), "internal", 0),
         *fit.line(Panel("P_1 + P_2", "external leakage", (), "", *UNITS), "external", 1),
