@@ -1,4 +1,4 @@
-"""The benches: steady points by closed forms, and what the recordings can tell."""
+"""The benches: held points by closed forms, and readings of the instruments."""
 
 import math
 
