@@ -37,7 +37,7 @@ def test_seeds(name, tmp_path):
         assert differ == 0 if instrument.noise == 0 else differ >= 0.6 * turning, signal
 
 
-@pytest.mark.parametrize("name", (*NAMES, "seal_leakage"))
+@pytest.mark.parametrize("name", [*NAMES, "seal_leakage"])
 def test_a_table_holds_every_step_and_the_reader_of_recordings_reads_it(name, tmp_path):
     """Each cell is the reading, exactly; the project's reader gets the signals in SI units, with sensors."""
     e = experiment(name, "lumped")
