@@ -30,7 +30,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -174,71 +174,6 @@ class Samples:
         f, h = (sliding_window_view(x, size, axis=-1)[..., self.starts, :] for x in (force, momentum))
         return np.asarray(f @ self.bump - h @ self.slope)
 
-    def by_samples(self, g: Array) -> BySamples:
-        """`Linear.g` as a matrix."""
-        k, r, m, size = g.shape
-        if self.steady and r == 1:
-            return BySample(g[:, 0, :, 0], self.starts, self.raw.shape)
-        under = self.starts[:, None] + np.arange(size)
-        columns = np.arange(k)[:, None] * self.raw.shape[1] + under[:, None, None]
-        indices = np.broadcast_to(columns, (m, r, k, size)).ravel()
-        ends = np.arange(m * r + 1) * k * size
-        matrix = sparse.csr_array((g.transpose(2, 1, 0, 3).ravel(), indices, ends), (m * r, self.raw.size))
-        return ByWindow(matrix, self.raw.shape)
-
-
-@dataclass(frozen=True)
-class ByWindow:
-    """G of balances over windows: a sparse matrix (m rows, k n), its rows in the order of `flat`."""
-
-    matrix: Any
-    shape: tuple[int, ...]
-
-    def times(self, samples: Array) -> Array:
-        """G y for samples (k, n), shape (N,)."""
-        return np.asarray(self.matrix @ samples.ravel())
-
-    def transposed(self, weights: Array) -> Array:
-        """G' w, shape (k, n)."""
-        return np.asarray(self.matrix.T @ weights).reshape(self.shape)
-
-    def covariance(self, variance: Array) -> Array:
-        """Lower bands of G diag(variance) G' for variances (k, n)."""
-        lower = sparse.tril(self.matrix * variance.ravel() @ self.matrix.T).todia()
-        bands = np.zeros((1 - lower.offsets.min(), self.matrix.shape[0]))
-        bands[-lower.offsets] = lower.data
-        return bands
-
-
-@dataclass(frozen=True)
-class BySample:
-    """G of balances of one row and one sample each, (k, m): as `ByWindow`, which takes ten times as long."""
-
-    g: Array
-    starts: Indices
-    shape: tuple[int, ...]
-
-    def times(self, samples: Array) -> Array:
-        """As that of `ByWindow`."""
-        return self._summed(self.g * samples[:, self.starts])
-
-    def transposed(self, weights: Array) -> Array:
-        """As that of `ByWindow`."""
-        back = np.zeros(self.shape)
-        back[:, self.starts] += self.g * weights
-        return back
-
-    def covariance(self, variance: Array) -> Array:
-        """As that of `ByWindow`."""
-        return self._summed(self.g * variance[:, self.starts] * self.g)[None]
-
-    def _summed(self, terms: Array) -> Array:
-        """The sum over the sensors, one after the other as a product of sparse matrices adds them."""
-        return sum(terms, start=np.zeros(terms.shape[1]))
-
-
-BySamples: TypeAlias = ByWindow | BySample
-
 
 def hop(size: int) -> int:
     """Distance in samples of neighbouring windows of `size` samples."""
@@ -285,12 +220,40 @@ class Linear:
 
     e          residual, shape (rows, m)
     by_theta   de/dtheta, shape (unknowns, rows, m)
-    g          de/d(samples) of each sensor, shape (k, rows, m, L + taps - 1)
+    g          G = de/d(samples) of each sensor, shape (k, rows, m, L + taps - 1)
+    under      the samples under each window, shape (m, L + taps - 1)
     """
 
     e: Array
     by_theta: Array
     g: Array
+    under: Indices
+
+    def times(self, samples: Array) -> Array:
+        """G y for samples (k, n), in the order of `flat`."""
+        return np.asarray(np.einsum("krml,kml->mr", self.g, samples[:, self.under])).ravel()
+
+    def transposed(self, weights: Array, count: int) -> Array:
+        """G' w of weights in the order of `flat`, shape (k, count)."""
+        each = np.einsum("krml,mr->kml", self.g, weights.reshape(len(self.under), -1))
+        return np.array([np.bincount(self.under.ravel(), x.ravel(), count) for x in each])
+
+    def covariance(self, variance: Array) -> Array:
+        """Lower bands of G diag(variance) G' for variances (k, n)."""
+        (k, r, m, size), n = self.g.shape, variance.shape[1]
+        if size == 1:  # windows have no sample in common: r rows of each window
+            blocks = np.einsum("kaml,kbml,kml->mab", self.g, self.g, variance[:, self.under])
+            bands = np.zeros((r, m * r))
+            for first, second in zip(*np.triu_indices(r), strict=True):
+                bands[second - first, first::r] = blocks[:, first, second]
+            return bands
+        columns = np.arange(k)[:, None] * n + self.under[:, None, None]
+        indices, ends = np.broadcast_to(columns, (m, r, k, size)).ravel(), np.arange(m * r + 1) * k * size
+        matrix = sparse.csr_array((self.g.transpose(2, 1, 0, 3).ravel(), indices, ends), (m * r, k * n))
+        lower = sparse.tril(matrix * variance.ravel() @ matrix.T).todia()
+        bands = np.zeros((1 - lower.offsets.min(), m * r))
+        bands[-lower.offsets] = lower.data
+        return bands
 
 
 def evaluated(function: ca.Function, *arguments: Array) -> list[Array]:
@@ -332,7 +295,8 @@ def linearised(s: Samples, raw: Array, theta: Array) -> Linear:
             )
             by_filtered = by_force * s.bump - by_momentum * s.slope
             g[sensor] += by_filtered @ linalg.convolution_matrix(kernel, size).T
-    return Linear(s.integral(both[:r], both[r:]), s.integral(by_theta[:, :r], by_theta[:, r:]), g)
+    under = s.starts[:, None] + np.arange(size + s.taps - 1)
+    return Linear(s.integral(both[:r], both[r:]), s.integral(by_theta[:, :r], by_theta[:, r:]), g, under)
 
 
 def squares_of_noise(s: Samples, true: Array, theta: Array) -> Array:
@@ -357,14 +321,12 @@ class Whitened:
     """The balance of one recording, transformed to white noise of variance 1.
 
     linear    the balance at the estimated true signals, its `e` that of the measured signals
-    g         `linear.g` as a matrix
     factor    Cholesky factor of S = cov(e), in bands
     columns   de/d(unknowns of all recordings), -de/d(zeros), de/d(delays), shape (unknowns, N)
     e         residual, shape (N,)
     """
 
     linear: Linear
-    g: BySamples
     factor: Array
     columns: Array
     e: Array
@@ -377,7 +339,7 @@ class Whitened:
     def most_probable(self, measured: Array, variance: Array) -> Array:
         """The true signals y - sd^2 G' S^-1 e, for samples y of this variance."""
         weighted = dtbtrs(self.factor, self.e[:, None], uplo="L", trans="T")[0][:, 0]
-        return np.asarray(measured - variance * self.g.transposed(weighted))
+        return np.asarray(measured - variance * self.linear.transposed(weighted, measured.shape[1]))
 
 
 def whitened(
@@ -391,9 +353,8 @@ def whitened(
     """
     theta = np.array([x[n] for n in s.names])
     linear = linearised(s, true, theta)
-    g = s.by_samples(linear.g)
-    e = flat(linear.e - squares_of_noise(s, true, theta)) + g.times(measured - true)
-    bands = g.covariance(np.broadcast_to(s.sd**2, true.shape))
+    e = flat(linear.e - squares_of_noise(s, true, theta)) + linear.times(measured - true)
+    bands = linear.covariance(np.broadcast_to(s.sd**2, true.shape))
     bands[0] *= 1 + 1e-12  # rounding
     columns = dict(zip(s.names, linear.by_theta, strict=True))
     columns |= dict(zip(s.sensors, -linear.g.sum(axis=-1), strict=True))
@@ -401,11 +362,11 @@ def whitened(
         width = min(SLOPE, s.raw.shape[1] - 1 | 1)
         slopes = savgol_filter(measured, width, 3, deriv=1, delta=1 / s.rate, axis=1)
     for name, late in delays.items():
-        by_delay = g.times(np.isin(s.sensors, list(late))[:, None] * slopes)
+        by_delay = linear.times(np.isin(s.sensors, list(late))[:, None] * slopes)
         columns[name] = by_delay.reshape(-1, s.law.rows).T
     every = flat(np.array([columns.get(n, np.zeros_like(linear.e)) for n in x]))
     linear = replace(linear, e=e.reshape(-1, s.law.rows).T)
-    raw = Whitened(linear, g, linalg.cholesky_banded(bands, lower=True), every, e)
+    raw = Whitened(linear, linalg.cholesky_banded(bands, lower=True), every, e)
     return replace(raw, columns=raw.whiten(every), e=raw.whiten(e))
 
 

@@ -31,6 +31,10 @@ Motor bench: the swing motor with a locked shaft; pressure reducing valves set b
 The position of the flow meter of line A depends on the volume that the model contains. In the detailed
 machine this is the volume of the motor, and the meter is between throttle and motor. In the lumped machine it
 is that of the line, and the meter is between line and motor.
+
+Hold test: a cylinder carries weights, its head side is plugged, its rod side open to the return line.
+
+    d/dt (A x + C P) = -G (P - P_r)        dx/dt = (A P - F)/d
 """
 
 from collections.abc import Callable, Mapping
@@ -42,7 +46,7 @@ import numpy as np
 
 from fmus import boom_stick, swing
 from fmus.components import circuit, hose, motor, spool_valve
-from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
+from fmus.components.circuit import GROUND, TANK, Branch, Circuit, Kind, Node
 from fmus.components.orifice import root
 from fmus.components.spool_valve import SpoolState
 from fmus.contract import Scalar, column, quantities
@@ -64,21 +68,13 @@ TOLERANCE = 1e-10  # relative tolerance of CVODES
 LAMINAR = 1e-6  # m3/s, Q_t of a throttle
 
 
-def lumped() -> Any:
-    """Parameter values of the lumped boom and stick drives: valve, hoses, oil."""
-    return parameters(boom_stick.VARIANTS["lumped"])
-
-
-def detailed() -> Any:
-    """Parameter values of the detailed boom and stick drives."""
-    return parameters(boom_stick.VARIANTS["detailed"])
+def drives(machine: str) -> Any:
+    """Parameter values of the boom and stick drives of a machine: valve, hoses, oil."""
+    return parameters(boom_stick.VARIANTS[machine])
 
 
 def start_flow(leakage: Scalar) -> Scalar:
-    """Initial flow [m3/s] out of a port at the pressure `RETURN`: the leakage from the supply.
-
-    leakage   leakage of an edge [m3/(s.Pa)]; the edge to the tank has no pressure drop
-    """
+    """Initial flow [m3/s] out of a port at the pressure `RETURN`: the leakage from the supply."""
     return leakage * (SUPPLY - RETURN)
 
 
@@ -114,57 +110,47 @@ def run(states: Start, bench: Bench, time: Array, inputs: Mapping[str, Array]) -
     return dict(zip(outputs, results.T, strict=True))
 
 
-class BenchValve:
-    """The valve of the lumped or of the detailed machine between supply and return line of the bench.
+SPOOL: Start = {"position": (0.0, 1.0), "speed": (0.0, 10.0)}  # states, which only the detailed valve has
 
-    states   initial and nominal value of each state of the spool, which only the detailed one has
+
+def valve_circuit(
+    machine: str, x: ByName, command: Scalar, nodes: tuple[str, str], flows: tuple[Scalar, Scalar]
+) -> tuple[Circuit, ByName]:
+    """Lines and edges of the valve of a machine, and rates of its spool.
+
+    nodes, flows   of ports A and B; flows [m3/s] out of them
     """
-
-    def __init__(self, machine: str) -> None:
-        self._spool = machine == "detailed"
-        self.states = {"position": (0.0, 1.0), "speed": (0.0, 10.0)} if self._spool else {}
-
-    def circuit(
-        self, x: ByName, command: Scalar, port: str, flow: Scalar, at: str = "A"
-    ) -> tuple[Circuit, ByName]:
-        """Lines and edges, and rates of the spool.
-
-        port, flow, at   name of the node, flow [m3/s] out of it, A or B; the other port is closed
-        """
-        flows = (flow, 0.0) if at == "A" else (0.0, flow)
-        rates: ByName = {}
-        if self._spool:
-            p, state = detailed(), SpoolState(x["position"], x["speed"])
-            ports = spool_valve.spool_ports(p.valve, p.spool, state.position, flows, LINES, p)
-            commanded = spool_valve.commanded_position(command, p.valve.full_command)
-            rates = vars(spool_valve.spool_rates(p.spool, state, commanded))
-        else:
-            p = lumped()
-            ports = spool_valve.ports_from_flow(p.valve, command, flows, LINES, p)
-        names = (port, "closed port") if at == "A" else ("closed port", port)
-        nodes = {name: Node(found.pressure) for name, found in zip(names, ports, strict=True)}
-        nodes |= {circuit.SUPPLY: Node(SUPPLY), TANK: Node(RETURN)}
-        return Circuit(nodes, spool_valve.branches(ports, names)), rates
+    p, rates = drives(machine), dict[str, Scalar]()
+    if machine == "detailed":
+        state = SpoolState(x["position"], x["speed"])
+        ports = spool_valve.spool_ports(p.valve, p.spool, state.position, flows, LINES, p)
+        commanded = spool_valve.commanded_position(command, p.valve.full_command)
+        rates = vars(spool_valve.spool_rates(p.spool, state, commanded))
+    else:
+        ports = spool_valve.ports_from_flow(p.valve, command, flows, LINES, p)
+    lines = {circuit.SUPPLY: Node(SUPPLY), TANK: Node(RETURN)}
+    ends = {name: Node(port.pressure) for name, port in zip(nodes, ports, strict=True)}
+    return Circuit(ends | lines, spool_valve.branches(ports, nodes)), rates
 
 
 def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> dict[str, Array]:
     """Pressures [Pa] and flows [m3/s] at both ends of the hose, for commands [V] and the throttle's C_R."""
     # also for the lumped machine: the ideal valve would cause steps within a sample, which cannot be recorded
-    spool = BenchValve("detailed")
     line, start = (_detailed_hose if machine == "detailed" else _lumped_hose)(resistance)
 
     def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
-        valve, rates = spool.circuit(x, u["command"], "pressure_in", x["flow_in"])
+        ports, flows = ("pressure_in", "closed port"), (x["flow_in"], 0.0)
+        valve, rates = valve_circuit("detailed", x, u["command"], ports, flows)
         whole = valve | line(x)
         known = whole.pressures | whole.flows
         shown = ("pressure_in", "pressure_out", "flow_in", "flow_out")
         return whole, rates, {name: known[name] for name in shown}
 
-    return run(start | spool.states, bench, time, {"command": command})
+    return run(start | SPOOL, bench, time, {"command": command})
 
 
 def _lumped_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]:
-    p, of = lumped(), lumped().stick.hose
+    p, of = drives("lumped"), drives("lumped").stick.hose
 
     def line(x: ByName) -> Circuit:
         drop = of.friction(p).drop(x["flow_in"])
@@ -182,7 +168,7 @@ def _lumped_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]
 
 
 def _detailed_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]:
-    p = detailed()
+    p = drives("detailed")
     of, lumps = line_of(CYLINDER, p.stick, p), lumps_of(boom_stick.VALUES)(boom_stick.AXES[1])
     ends = dict.fromkeys(("flow_in", "flow_out"), quantities(Flows)["head_flow"])
     states = hose.line_states(ends, "inner", "", "the hose", lumps)
@@ -238,15 +224,16 @@ BLOCK = 0.5e-3  # m3, volume
 
 def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Array]:
     """Pressures upstream and downstream of the edge [Pa] and its flow [m3/s], for commands [V]."""
-    spool, p = BenchValve(machine), lumped()
-    from_supply = edge.startswith("P")
+    p, from_supply = drives("lumped"), edge.startswith("P")
+    ports = ("port", "closed port") if "A" in edge else ("closed port", "port")
     other_end, start = (TANK, RETURN) if from_supply else (circuit.SUPPLY, SUPPLY)
-    fraction = LINE / detailed().stick.hose.length
+    fraction = LINE / drives("detailed").stick.hose.length
     friction = p.stick.hose.friction(p)
 
     def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
         flow = x["flow"]  # out of the port
-        of_valve, rates = spool.circuit(x, u["command"], "port", flow, "A" if "A" in edge else "B")
+        flows = (flow, 0.0) if "A" in edge else (0.0, flow)
+        of_valve, rates = valve_circuit(machine, x, u["command"], ports, flows)
         whole = of_valve | Circuit(
             {"block": Node(x["block"], "C", BLOCK / p.bulk_modulus)},
             {
@@ -264,4 +251,27 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
 
     leakage = start_flow(p.valve.leakage) * (1 if from_supply else -1)
     states = {"flow": (leakage, 1e-3), "block": (start, 1e7)}
-    return run(states | spool.states, bench, time, {"command": command})
+    return run(states | (SPOOL if machine == "detailed" else {}), bench, time, {"command": command})
+
+
+BORE, ENCLOSED = 0.1, 4e-3  # m, of the cylinder; m3, oil that its head side encloses
+SINKING = 0.05  # s, time constant of the piston behind its friction
+
+
+def hold_test(time: Array, pressure: Array, seal: float, square: float = 0.0) -> dict[str, Array]:
+    """Position [m] and pressures [Pa] of a cylinder under weights that need these pressures [Pa].
+
+    seal, square   leakage past the seals over the pressure [m3/(s.Pa)], and over its square
+    """
+    area, capacitance = np.pi / 4 * BORE**2, ENCLOSED / drives("lumped").bulk_modulus
+
+    def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
+        velocity = (x["head"] - u["pressure"]) * capacitance / (SINKING * area)
+        nodes = {"head": Node(x["head"], "C", capacitance), TANK: Node(RETURN), GROUND: Node(0.0)}
+        seals = Branch("head", TANK, Kind.LEAKAGE, lambda p: (seal + square * ca.fabs(p)) * p)
+        piston = Branch("head", GROUND, Kind.PISTON, area * velocity)
+        outputs = {"position": x["position"], "pressure_head": x["head"], "pressure_rod": ca.SX(RETURN)}
+        return Circuit(nodes, {"seals": seals, "piston": piston}), {"position": velocity}, outputs
+
+    states = {"head": (pressure[0], 1e7), "position": (0.9, 1.0)}
+    return run(states, bench, time, {"pressure": pressure})

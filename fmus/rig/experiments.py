@@ -6,10 +6,12 @@ experiments; the test is the work cycle. Training covers the work space, small a
 pairs of axes, and contains no part of the work cycle. All corners of commands are on the 200 Hz grid.
 """
 
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from typing import TypeAlias
+from importlib.resources import files
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -19,8 +21,8 @@ from fmus.machine.parts import MACHINES as VARIANTS
 from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
 from fmus.monolith import Monolith, join, simulate
 from fmus.operator_input.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
-from fmus.rig.benches import EDGES, TOLERANCE, detailed, locked_motor, stick_hose, valve
-from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, RETURN, Experiment
+from fmus.rig.benches import BORE, EDGES, TOLERANCE, drives, hold_test, locked_motor, stick_hose, valve
+from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, POSITION, PRESSURE, RETURN, Experiment
 from orchestrator.base.errors import Problem
 from orchestrator.data.description import Condition, SignalDescription
 from orchestrator.data.table import Array
@@ -40,14 +42,7 @@ def levels(values: Sequence[float], hold: float, ramp: float, first: float = 1.0
 
 # ---- commands on the whole machine -----------------------------------------------------------------
 
-# slow and fast strokes to and fro: (command [V], hold [s]) of each
-_STROKES: Mapping[str, Sequence[tuple[float, float]]] = {
-    "swing": ((2.0, 1.5), (-3.0, 1.2), (3.5, 1.0), (-2.5, 1.0), (1.5, 1.5), (-3.2, 0.8)),
-    "boom": ((2.2, 1.4), (-1.6, 1.8), (3.0, 1.0), (-2.4, 1.2), (1.5, 1.6), (-1.4, 1.4), (3.2, 0.7)),
-    "stick": ((2.0, 1.6), (-2.0, 1.6), (3.0, 1.1), (-2.6, 1.2), (1.5, 1.8), (-1.5, 1.8), (3.2, 0.8)),
-}
-_RISE = {"swing": 0.5, "boom": 0.3, "stick": 0.4}  # s, of the command at the start of a stroke
-_FALL = {"swing": 1.3, "boom": 0.5, "stick": 0.6}  # s, at its end
+_TABLES: Mapping[str, Any] = tomllib.loads((files("fmus.rig") / "experiments.toml").read_text("utf-8"))
 _PAUSE = 0.3  # s between strokes
 
 
@@ -67,48 +62,11 @@ def end_of(moves: Sequence[Move]) -> float:
     return round(max(m.start + m.rise + m.hold + m.fall for m in moves), 3)
 
 
-# initial poses of the damping experiments and the sign of their first stroke. All strokes stay inside the
-# range of the joint. The lever arm dl/dq differs in the two experiments of a joint, so that friction of
-# piston and joint can be separated.
-DAMPING: Mapping[str, Sequence[tuple[Pose, int]]] = {
-    "swing": ((Pose(0.2, -1.4), 1), (Pose(0.4, -1.9), -1)),
-    "boom": ((Pose(0.0, -1.4), 1), (Pose(0.5, -1.8), 1)),
-    "stick": ((Pose(0.4, -1.1), 1), (Pose(0.3, -2.0), -1)),
-}
-
-
-def _moves(table: str) -> tuple[Move, ...]:
-    """Moves from a table: joint, start [s], command [V], rise, hold, fall [s] of each."""
-    rows = (row.split() for row in table.split(";"))
-    return tuple(Move(joint, *map(float, numbers)) for joint, *numbers in rows)
-
-
-# first low and close to the machine, then high and far away
-TRAIN_1 = _moves("""
-    boom  1.0 2.8 0.4 0.9 0.6;    swing 1.6 2.6 0.5 1.3 1.4;    stick 2.6 -2.8 0.4 1.2 0.6;
-    boom  4.0 4.2 0.5 0.7 0.9;    swing 5.2 -1.6 0.4 1.0 0.8;   stick 5.6 -1.5 0.4 1.4 0.5;
-    boom  7.4 -2.2 0.4 1.4 0.6;   swing 8.2 -3.6 0.6 1.5 1.6;   stick 9.0 3.2 0.4 1.0 0.6;
-    boom  10.8 1.4 0.3 1.0 0.4;   stick 12.0 1.6 0.3 0.9 0.4;   swing 12.4 1.4 0.4 1.2 0.8;
-    boom  13.6 3.2 0.4 0.8 0.7;   swing 15.2 3.8 0.7 1.2 1.8;   stick 15.6 -3.4 0.5 1.0 0.8;
-    boom  17.6 -1.5 0.4 1.6 0.5;  stick 18.6 2.4 0.4 1.3 0.6;   swing 19.6 -2.2 0.5 0.9 1.0;
-    boom  21.0 -2.8 0.5 0.9 0.8;  stick 22.0 4.2 0.6 0.7 1.0;   swing 23.0 -2.8 0.5 1.0 1.4;
-    boom  24.2 1.8 0.3 0.8 0.5;   stick 25.2 -1.8 0.4 1.0 0.5;  swing 26.4 1.8 0.4 0.6 0.9;
-    boom  27.0 -1.6 0.4 0.8 0.5
-""")
-# first far away and high, then close and low
-TRAIN_2 = _moves("""
-    stick 1.0 2.6 0.4 1.3 0.6;    swing 1.4 -3.0 0.6 1.4 1.5;   boom  2.2 -2.6 0.4 1.2 0.7;
-    stick 4.4 1.5 0.3 1.2 0.4;    boom  5.0 1.6 0.3 1.1 0.5;    swing 5.6 2.0 0.4 1.0 1.0;
-    stick 7.2 3.6 0.5 0.9 0.8;    boom  8.0 -1.4 0.4 1.2 0.5;   swing 8.6 3.4 0.6 1.3 1.6;
-    boom  10.6 4.0 0.5 0.7 0.9;   stick 11.4 -2.2 0.4 1.2 0.6;  swing 12.8 1.5 0.4 0.9 0.8;
-    boom  13.4 -2.4 0.4 1.1 0.6;  stick 14.6 -1.6 0.4 1.4 0.5;  swing 15.4 -3.8 0.7 1.4 1.8;
-    boom  16.2 2.2 0.4 1.0 0.5;   stick 17.8 2.9 0.4 0.9 0.6;   boom  19.2 -1.8 0.4 1.3 0.5;
-    swing 20.2 -1.5 0.4 1.2 0.8;  stick 20.8 -3.2 0.5 0.9 0.8;  boom  22.6 3.0 0.4 0.9 0.7;
-    swing 23.2 2.8 0.6 1.0 1.4;   stick 24.2 1.8 0.3 1.0 0.5;   boom  25.6 -2.0 0.4 1.1 0.6;
-    stick 26.2 -2.4 0.4 0.8 0.6
-""")
+DAMPING: Mapping[str, Mapping[str, Any]] = _TABLES["damping"]
 # moves and initial pose
-TRAINING = ((TRAIN_1, Pose(-0.1, -1.5, -0.4)), (TRAIN_2, Pose(0.7, -0.95, 0.5)))
+TRAINING: Sequence[tuple[Sequence[Move], Pose]] = tuple(
+    ([Move(*row) for row in one["moves"]], Pose(*one["pose"])) for one in _TABLES["training"]
+)
 TRAINING_STOP = 30.0  # s
 
 # strokes of the boom up and down about the same angles, slower than 2 cm/s
@@ -128,16 +86,7 @@ VALVE_STEPS = (*np.arange(0.25, 2.01, 0.25), *np.arange(2.5, 10.01, 0.5))
 HOSE_STEPS = tuple(np.round(np.linspace(1.25, 10.0, 25), 3))
 HOSE_THROTTLE = 1.05e11  # C_R [Pa.s2/m6]: 281 L/min at 10 V
 
-# four groups: resistance C_R of the throttle [Pa.s2/m6], levels of the command [V], hold and ramp [s]. A
-# small resistance gives fast changes of flow, for the inertance; a large one of pressure, for the
-# capacitance. Each step up is followed by a step down, so that sampling errors at the corners cancel. Flows
-# exceed the dead zone of the meters.
-GROUPS: tuple[tuple[float, Sequence[float], float, float], ...] = (
-    (6e11, (3.0, 8.0) * 20, 0.5, 0.06),
-    (1.5e12, (3.0, 6.0, 9.0, 6.0) * 10, 0.5, 0.06),
-    (3e12, (2.5, 4.0, 10.0, 4.0) * 10, 0.5, 0.08),
-    (6e12, (2.0, 6.0) * 20, 0.5, 0.08),
-)
+GROUPS: Sequence[tuple[float, list[float], int, float, float]] = _TABLES["groups"]
 
 # MPa; locked motor: set pressures of the stepped port, at a low and a medium pressure of the other port
 MOTOR_STEPS = tuple(range(2, 21, 2))
@@ -153,7 +102,7 @@ def _bench(
     named: Named, time: Array, signals: Signals, flow: SignalDescription = FLOW, **conditions: str | Condition
 ) -> Experiment:
     """An experiment on a bench, with the instruments that the names of its signals tell; flow: the meter."""
-    by_quantity = {"command": COMMAND, "pressure": PRESSURE}
+    by_quantity = {"command": COMMAND, "pressure": PRESSURE, "position": POSITION}
     instruments = {name: by_quantity.get(name.split("_")[0], flow) for name in signals}
     return Experiment(*named, time, signals, instruments, conditions)
 
@@ -178,7 +127,7 @@ def _edge(edge: str, machine: str) -> Experiment:
 
 
 def _hose(named: Named, time: Array, signals: Signals) -> Experiment:
-    p = detailed()
+    p = drives("detailed")
     length, bore = (Condition(value, "m") for value in (p.stick.hose.length, p.stick.hose.bore))
     density = Condition(p.density, "kg/m3")
     return _bench(named, time, signals, length=length, diameter=bore, density=density)
@@ -192,8 +141,8 @@ def _hose_resistance(machine: str) -> Experiment:
 
 
 def _hose_dynamics(number: int, machine: str) -> Experiment:
-    resistance, steps, hold, ramp = GROUPS[number - 1]
-    time, command = levels((0.0, *steps), hold, ramp)
+    resistance, steps, times, hold, ramp = GROUPS[number - 1]
+    time, command = levels((0.0, *(steps * times)), hold, ramp)
     signals = {"command": command, **stick_hose(machine, resistance, time, command)}
     return _hose(("hose_dynamics", f"Hose of 4 m and 3/4 in, fast changes, group {number}"), time, signals)
 
@@ -210,12 +159,25 @@ def _motor(stepped: str, machine: str) -> Experiment:
     return _bench(("motor_leakage", title), time, signals, LEAKAGE, shaft="locked")
 
 
+# bar that the weights of the hold test need; leakage of the worn seals, 0.6 L/min at 100 bar
+WEIGHTS, SEALS = (40.0, 80.0, 120.0, 160.0, 100.0, 60.0), 1e-12
+
+
+def hold(seals: float = SEALS, square: float = 0.0) -> Experiment:
+    """A cylinder holds weights, each for 5 s; leakage past its seals as in `hold_test`."""
+    time, pressure = levels([1e5 * weight for weight in WEIGHTS], 5.0, 0.2)
+    signals = hold_test(time, pressure, seals, square)
+    named, bore = ("seal_leakage", "Cylinder with worn seals, hold test"), Condition(BORE, "m")
+    return replace(_bench(named, time, signals, bore=bore), machine="lumped")
+
+
 BENCH_EXPERIMENTS: dict[str, Callable[[str], Experiment]] = {
     "rest": _rest,
     **{f"valve_{edge.replace('-', '').lower()}": partial(_edge, edge) for edge in EDGES},
     "hose_resistance": _hose_resistance,
     **{f"hose_dynamics_{n}": partial(_hose_dynamics, n) for n in range(1, len(GROUPS) + 1)},
     **{f"motor_leakage_{n}": partial(_motor, port) for n, port in enumerate("AB", 1)},
+    "seal_leakage": lambda _: hold(),
 }
 
 # ---- experiments on the whole machine --------------------------------------------------------------
@@ -281,11 +243,12 @@ def _driven(
 
 
 def _damping(joint: str, number: int, machine: str) -> Experiment:
-    pose, sign = DAMPING[joint][number - 1]
-    rows = [(sign * command, hold) for command, hold in _STROKES[joint]]
-    moves = _one_by_one(joint, rows, _RISE[joint], _FALL[joint], _PAUSE)
+    own = DAMPING[joint]
+    pose, sign = own["recordings"][number - 1]
+    rows = [(sign * command, hold) for command, hold in own["strokes"]]
+    moves = _one_by_one(joint, rows, own["rise"], own["fall"], _PAUSE)
     named = ("damping", f"Only the {joint} moves, pose {number}")
-    return _driven(named, moves, end_of(moves) + 1.0, pose, machine, joint=joint)
+    return _driven(named, moves, end_of(moves) + 1.0, Pose(*pose), machine, joint=joint)
 
 
 def _weighing(held: float, machine: str) -> Experiment:
@@ -308,8 +271,8 @@ def _test(machine: str) -> Experiment:
 MACHINE_EXPERIMENTS: dict[str, Callable[[str], Experiment]] = {
     **{
         f"damping_{joint}_{n}": partial(_damping, joint, n)
-        for joint, runs in DAMPING.items()
-        for n in range(1, len(runs) + 1)
+        for joint, own in DAMPING.items()
+        for n in range(1, len(own["recordings"]) + 1)
     },
     **{f"machine_train_{n}": partial(_training, n) for n in range(1, len(TRAINING) + 1)},
     "machine_test": _test,

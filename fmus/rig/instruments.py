@@ -37,6 +37,9 @@ RETURN = _converter("pressure transducer -1 to 25 bar, 12 bit", "bar", (-1.0, 25
 FLOW = _converter("turbine flow meter +-300 L/min, 12 bit", "L/min", (-300.0, 300.0), 0.3, 10.0)
 LEAKAGE = _converter("gear flow meter +-5 L/min, 12 bit", "L/min", (-5.0, 5.0), 0.005)
 ANGLE = SignalDescription("deg", sensor="encoder, 65536 counts per turn", resolution=360 / 2**16)
+POSITION = SignalDescription(
+    "m", sensor="string potentiometer 0-1 m, 16 bit", noise=2e-6, resolution=2**-16, span=(0.0, 1.0)
+)
 COMMAND = SignalDescription("V")  # known exactly, because the computer sends it
 
 

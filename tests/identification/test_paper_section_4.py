@@ -22,15 +22,6 @@ as_printed = importlib.import_module("as_printed")
 FEW = ("hose_resistance", "hose_dynamics_1", "hose_dynamics_3", "motor_leakage_1", "motor_leakage_2")
 
 
-def test_definitions_give_inertance_and_capacitance():
-    """Within 5 %: the filter attenuates 4.7 Hz by 1 %, and noise of the derivatives biases them."""
-    samples = zip(*(as_printed.definitions(r, bench.KNOWN) for r in bench.moving_hose(0)), strict=True)
-    for own, truth, name in zip(samples, (bench.INERTANCE, bench.CAPACITANCE), "IC", strict=True):
-        found = as_printed.mean_of_means(name, own, "")
-        assert found.by_samples.value == pytest.approx(truth, rel=0.05, abs=0)
-        assert found.by_groups.value == found.by_samples.value
-
-
 def test_intervals_of_a_line_and_of_means_are_those_of_independent_samples():
     """White noise: errors over 200 seeds are as large as the standard deviations by samples and by groups."""
     x, z = np.linspace(-1.0, 2.0, 50), []
@@ -66,12 +57,6 @@ def test_13_is_attenuated_by_a_coarse_encoder_and_corrected():
     assert lost < -0.02
     # what is even in the noise beyond attenuation: a tenth of it
     assert abs(left) < 0.2 * abs(lost)
-
-
-def test_13_without_noise_gives_the_damping():
-    """Perfect instruments: 0.5 %, the error of the derivatives at the corners of the motion."""
-    plain = as_printed.damping("stick", [perfect_stick()], KNOWN).by_samples.value
-    assert plain == pytest.approx(KNOWN["manipulator.stick_piston_damping"].value, rel=5e-3)
 
 
 def test_the_example_runs_on_a_few_recordings(tmp_path, capsys):

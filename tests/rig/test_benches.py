@@ -1,4 +1,4 @@
-"""The benches: steady points by closed forms, and what the recordings can tell."""
+"""The benches: held points by closed forms, and readings of the instruments."""
 
 import math
 
@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.integrate import cumulative_trapezoid
 
 from fmus.operator_input.work_cycle import RATE
-from fmus.rig.experiments import EXPERIMENTS, GROUPS, HOLD, MOTOR_HOLD, experiment
-from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, Experiment, generator, read, record
+from fmus.rig.experiments import HOLD, MOTOR_HOLD, experiment
+from fmus.rig.instruments import ANGLE, FLOW, LEAKAGE, PRESSURE, Experiment, generator, read
 from orchestrator.data.description import SignalDescription
 
 BOTH = pytest.mark.parametrize("machine", ["lumped", "detailed"])
@@ -18,7 +17,7 @@ EDGES = pytest.mark.parametrize("edge", ["pa", "bt", "pb", "at"])
 LITRES = 60e3  # L/min in 1 m3/s
 # numbers of the parts' parameters.toml, written down once more
 AREA, DISCHARGE, DENSITY, DEAD_BAND, ROUNDING, FULL = 4e-5, 0.62, 970.0, 0.6, 0.4, 10.0
-LENGTH, BORE, INERTANCE, CAPACITANCE, VISCOSITY = 4.0, 0.01905, 1.361e7, 7.126e-13, 0.02
+LENGTH, BORE, VISCOSITY = 4.0, 0.01905, 0.02
 HOSE_RESISTANCE = 3.2e10 * (VISCOSITY / 8e-3) ** 0.25  # at 170 L/min, eq. (10)
 R_IN, R_EX = 2.0e12, 1.1e12
 
@@ -47,21 +46,6 @@ def test_a_held_edge_obeys_eq_1_and_2(machine, edge):
     assert np.all(flow[volts >= 1.25] * LITRES > 10)
     assert 250 < flow.max() * LITRES < 299
     assert np.all(drop > 1000 * 0.1e5)  # 1000 times the noise of 0.1 bar
-
-
-@BOTH
-@pytest.mark.parametrize(
-    ("name", "hold"),
-    [("valve_pa", HOLD), ("valve_at", HOLD), ("hose_resistance", HOLD), ("motor_leakage_2", MOTOR_HOLD)],
-)
-def test_held_points_have_settled_after_half_a_second(machine, name, hold):
-    """The mean from 0.5 s to 1 s is that of the last half second."""
-    e = experiment(name, machine)
-    for signal, values in e.signals.items():
-        samples = values[round(RATE) : -1].reshape(-1, round(hold * RATE))
-        early, late = samples[:, 100:200].mean(axis=1), samples[:, -100:].mean(axis=1)
-        # 2e-4 of the largest value: a step of the converters. A shut hose still rings then.
-        assert np.abs(early - late).max() < 2e-4 * np.abs(values).max(), signal
 
 
 @BOTH
@@ -98,58 +82,11 @@ def test_a_locked_motor_obeys_eq_11_and_12(machine, number):
     assert np.linalg.cond(columns / np.linalg.norm(columns, axis=0)) < 10
 
 
-@BOTH
-@pytest.mark.parametrize("name", [n for n in EXPERIMENTS if n.startswith(("valve", "hose", "motor"))])
-def test_bench_signals_stay_in_range(machine, name):
-    """Pressures above the return line's and at most the supply's, flows in the meters' range."""
-    e = experiment(name, machine)
-    for signal, values in e.signals.items():
-        if "pressure" in signal:
-            # a column of oil that is slowed down takes up to 0.4 MPa from the 0.5 MPa of the return line,
-            # and adds up to 0.1 MPa to the supply's
-            assert values.min() > 0.1e6
-            assert values.max() < 20.684e6 + 0.1e6
-        elif "flow" in signal:
-            assert np.abs(values).max() * LITRES < (5 if name.startswith("motor") else 299)
-
-
-def from_rest_to_rest(number: int, seed: int) -> tuple[float, float]:
-    """I and C of one noisy group, by the equations integrated over each change, with C_R as known.
-
-    I dQ = int (P_in - P_out - C_R Q|Q|) dt        C dP_out = int (Q_in - Q_out) dt
-    """
-    e = experiment(f"hose_dynamics_{number}", "lumped")
-    _, _, hold, ramp = GROUPS[number - 1]
-    x = record(e, seed)
-    p_in, p_out = x["pressure_in"] * 1e5, x["pressure_out"] * 1e5
-    q_in, q_out = x["flow_in"] / LITRES, x["flow_out"] / LITRES
-    begin = np.arange(round((1 + hold) * RATE), e.time.size - 1, round(hold * RATE)) - 4
-    end = begin + round(ramp * RATE) + 16
-
-    def change(values: np.ndarray) -> np.ndarray:
-        return values[end] - values[begin]
-
-    each = {"dx": 1 / RATE, "initial": 0.0}
-    flow, rise = change(q_in), change(p_out)
-    force = change(cumulative_trapezoid(p_in - p_out - HOSE_RESISTANCE * q_in * np.abs(q_in), **each))
-    oil = change(cumulative_trapezoid(q_in - q_out, **each))
-    return flow @ force / (flow @ flow), rise @ oil / (rise @ rise)
-
-
-def test_inertance_and_capacitance_can_be_found():
-    """With all noise at 200 Hz, each group gives I and C within 4 %, and the mean of the four within 2 %."""
-    found = np.array([from_rest_to_rest(number, seed=5) for number in (1, 2, 3, 4)])
-    ratio = found / [INERTANCE, CAPACITANCE]
-    # standard deviation of one group, over 40 seeds: up to 0.8 % (I) and 1.2 % (C); the clock adds 0.2 %
-    assert ratio == pytest.approx(np.ones_like(ratio), abs=0.04)
-    assert ratio.mean(axis=0) == pytest.approx(np.ones(2), abs=0.02)
-
-
 # ---- Readings of the instruments: noise, quantisation, range, dead zone, and nothing else
 
 ALL = (PRESSURE, FLOW, LEAKAGE, ANGLE)
 NOISY = (PRESSURE, FLOW, LEAKAGE)
-SI = {"bar": 1e5, "L/min": 1e-3 / 60, "deg": math.pi / 180, "V": 1.0}  # value of one unit in SI
+SI = {"bar": 1e5, "L/min": 1e-3 / 60, "deg": math.pi / 180}  # value of one unit in SI
 COUNT = 200_000
 
 
@@ -179,21 +116,19 @@ def test_noise_is_white_and_has_the_told_size_and_no_bias(instrument):
 @pytest.mark.parametrize("instrument", ALL, ids=lambda i: i.sensor)
 @given(value=st.floats(-1e3, 1e3), seed=st.integers(0, 2**32))
 def test_readings_are_whole_steps_in_range(instrument, value, seed):
-    """Every reading is a multiple of the resolution and inside the range."""
+    """Every reading is a multiple of the resolution and inside the range, whose ends clip it."""
     found = readings(instrument, value, 5, seed)
     steps = found / instrument.resolution
     assert np.array_equal(steps, np.round(steps))  # exact: all steps are short binary fractions or n/4096
-    low, high = instrument.span or (-math.inf, math.inf)
-    assert np.all((found >= low) & (found <= high))
-
-
-@pytest.mark.parametrize("instrument", NOISY, ids=lambda i: i.sensor)
-def test_a_converter_of_12_bit_has_4096_codes(instrument):
-    """The range has 4096 codes, and signals beyond an end are clipped."""
+    if instrument == ANGLE:  # 65536 counts per turn and no noise
+        assert ANGLE.resolution * 65536 == 360
+        # rounding of the conversion
+        assert np.abs(found - value).max() <= ANGLE.resolution / 2 + 1e-12 * abs(value)
+        return
     low, high = instrument.span
-    assert (high - low) / instrument.resolution == 4095  # exact, as above
-    assert np.all(readings(instrument, 1.1 * high + 1, 100) == high)
-    assert np.all(readings(instrument, low - 0.1 * high, 100) == low)
+    assert (high - low) / instrument.resolution == 4095  # exact, as above: 12 bit have 4096 codes
+    assert np.all((found >= low) & (found <= high))
+    assert np.all(readings(instrument, 1.1 * high + 1, 9) == high)
 
 
 def test_a_turbine_stands_still_below_its_dead_zone():
@@ -202,20 +137,6 @@ def test_a_turbine_stands_still_below_its_dead_zone():
         assert not readings(FLOW, sign * 9.999, 1000).any()
         turning = readings(FLOW, sign * 10.001, 1000)
         assert np.all(np.abs(turning - sign * 10) < 6 * FLOW.noise)  # six standard deviations
-
-
-@given(value=st.floats(-1e4, 1e4))
-def test_an_encoder_errs_by_half_a_count(value):
-    """65536 counts per turn and no noise."""
-    assert ANGLE.resolution * 65536 == 360
-    error = readings(ANGLE, value, 1)[0] - value
-    assert abs(error) <= ANGLE.resolution / 2 + 1e-12 * abs(value)  # rounding of the conversion
-
-
-@given(value=st.floats(-10, 10))
-def test_a_command_is_known_exactly(value):
-    """The reading of a command is the command."""
-    assert readings(COMMAND, value, 1)[0] == value
 
 
 def test_each_file_and_signal_has_noise_of_its_own():

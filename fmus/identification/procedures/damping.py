@@ -2,8 +2,8 @@
 
     x' B = a        a = tau - M q'' - V - G        x' = q' of the swing, J q' of a piston
 
-tau is that of measured pressures; M, V, G are those of the manipulator, with the known viscous friction of
-the joints. B is the unknown of the momentum balance (`momentum_balance`), without accelerations.
+tau is that of measured pressures, less the known viscous friction of the joints; M, V, G are those of the
+manipulator. B is the unknown of the momentum balance (`momentum_balance`), without accelerations.
 
 Validity: viscous friction, all other parameters known. A dry friction is a further unknown if it is clear. B
 absorbs all other effects, as the paper notes; the remarks quantify them.
@@ -38,7 +38,6 @@ SIGNALS: Mapping[str, str] = momentum.SIGNALS  # of the pressures only those of 
 SIGN_ROUNDING = 0.003  # rms speeds over which the sign of a dry friction is rounded; 0.03 biases B by 4 %
 MOVING = 3.0  # standard deviations of its noise above which a root mean square speed is a motion
 SLOWEST = 1e-6  # rad/s: a smaller speed is a rounding error
-CLEAR = 4.0  # standard deviations above which a dry friction is reported, and estimated together with B
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ def moves(recording: Recording, s: Samples, joint: int) -> bool:
 def _refined(parameters: Parameters, fit: Fit, again: Callable[[Procedure], Fit]) -> Fit:
     """With a dry friction as an unknown if it is clear, else it would raise B; and what known errors do."""
     dry, sd = dry_friction(fit)
-    if dry > CLEAR * sd:
+    if dry > balance.SIGNIFICANT * sd:
         fit = again(replace(fit.procedure, tested=[momentum.OFFSET]))
     effect = momentum.known_parameter_effect(fit.solution, parameters, fit.known.contact.theta)
     return replace(fit, known=SimpleNamespace(**vars(fit.known), effect=effect))
@@ -190,12 +189,12 @@ def _remarks(fit: Fit) -> Iterator[str]:
         )
     for name in fit.known.at_rest:
         yield f"in {name} the joint is at rest, so this recording is left out."
-    if dry < -CLEAR * sd:
+    if dry < -balance.SIGNIFICANT * sd:
         yield (
             "the resistance grows more than in proportion to the speed. The dry friction would have "
             "to be negative, which is impossible. Another cause is likely, such as a wrong known parameter."
         )
-    elif dry > CLEAR * sd:
+    elif dry > balance.SIGNIFICANT * sd:
         yield (
             f"there is a dry friction of {dry:.3g} +- {sd:.2g} {contact.force_unit}. It is estimated "
             "together with B, which does not include it."

@@ -19,7 +19,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
-Steps = TypeVar("Steps", bound="StepMeans")
+Stretches = TypeVar("Stretches", bound="Means")
 
 # largest error of a zero over the range, if no data sheet is given: the usual class of pressure transducers
 ZERO_ERROR = 0.0025
@@ -33,9 +33,7 @@ SETTLING_TIME = 0.5  # s cut off the beginning of each step of the command
 SHORTEST_STEP = 0.3  # s, minimum length of the rest of a step
 NOISE_ERROR = 3.0  # relative standard error of a noise estimate, times the root of the number of samples
 MIN_SAMPLES = 100  # for a test of noise
-MIN_STEPS = 4  # fewer steps of a flow do not tell a viscosity from a zero
 FINEST = 1e-6  # smallest relative standard error of a mean, also of a signal without noise
-STEP_SIGNALS = ("pressure_in", "pressure_out", "flow")
 
 
 def training_recordings(
@@ -206,7 +204,9 @@ def course(recording: Recording, when: Array | Sequence[slice]) -> tuple[Array, 
     when   times since the start (n,), or stretches, at whose middles it is
     """
     start = recording.time[0]
-    time = np.array([recording.time[x].mean() - start if isinstance(x, slice) else x for x in when])
+    time = np.array(
+        [recording.time[x].mean() - start if isinstance(x, slice) else x for x in when], dtype=float
+    )
     if TEMPERATURE not in recording.signals:
         return time, "time"
     values = recording.interpolated(TEMPERATURE)
@@ -216,12 +216,6 @@ def course(recording: Recording, when: Array | Sequence[slice]) -> tuple[Array, 
 def with_course(recording: Recording, samples: Samples) -> tuple[Samples, tuple[Array, str]]:
     """Samples of windows, with the `course` at their centres."""
     return samples, course(recording, samples.times)
-
-
-def concatenate(tables: Sequence[Steps]) -> Steps:
-    """The steps of several recordings, one table after the other."""
-    columns: dict[str, Any] = {n: np.concatenate([vars(t)[n] for t in tables]) for n in vars(tables[0])}
-    return type(tables[0])(**columns)
 
 
 def steady_stretches(recording: Recording, names: Sequence[str]) -> list[slice]:
@@ -242,66 +236,29 @@ def steady_stretches(recording: Recording, names: Sequence[str]) -> list[slice]:
     return [s for s in cores if s.stop - s.start >= shortest]
 
 
-def steady_points(
-    recordings: Sequence[Recording],
-    signals: Mapping[str, str],
-    steady: Sequence[str],
-    least: int,
-    zero: Callable[[Recording], float] = lambda _: 0.0,
-) -> tuple[Array, Array, tuple[Array, str]]:
-    """Means over the stretches in which the signals `steady` are; Problem if there are fewer than `least`.
-
-    Means of all signals, their standard errors (signals, n), and the `course`.
-
-    zero   of each recording, which is taken off its steady signals
-    """
-    columns, along, word = list[Array](), list[float](), ""
-    for recording in recordings:
-        if stretches := steady_stretches(recording, steady):
-            means, errors = masks.averages(recording, tuple(signals), stretches)
-            means[[n in steady for n in signals]] -= zero(recording)
-            columns.append(np.concatenate([means, errors]))
-            times, word = course(recording, stretches)
-            along = [*along, *times]
-    table = np.concatenate(columns, axis=1) if columns else np.empty((2, 0))
-    told = np.isfinite(table).all(axis=0)
-    if told.sum() < least:
-        raise Problem(
-            f"{recordings[0].source}: expected {least} or more stretches of {SHORTEST_STRETCH:g} s with "
-            f"steady {', '.join(steady)}, got {told.sum()}"
-        )
-    means, errors = np.split(table[:, told], 2)
-    return means, errors, (np.array(along)[told], word)
-
-
 @dataclass(frozen=True)
-class StepMeans:
-    """Means of pressure drop and flow over steps; arrays with one entry per step, shape (n,).
+class Means:
+    """Means of signals over steady stretches, and their standard errors, shape (signals, n).
 
-    drop, flow   means [Pa], [m3/s] with their standard errors
-    dead         the flow meter is in its dead zone at least at times, so that its mean is wrong
-    clipped      an instrument is at an end of its range at least at times
-    good         neither dead nor clipped, and half of the samples are valid
+    along     the `course` of each stretch, shape (n,), as the following
+    dead      a meter is in its dead zone at least at times, so that its mean is wrong
+    clipped   an instrument is at an end of its range, or stuck, at least at times
+    good      neither dead nor clipped, and half of the samples are valid
     """
 
-    drop: Array
-    drop_error: Array
-    flow: Array
-    flow_error: Array
+    means: Array
+    errors: Array
+    along: Array
     dead: Mask
     clipped: Mask
     good: Mask
 
-    def __getitem__(self: Steps, rows: Mask | NDArray[np.intp]) -> Steps:
-        """Some of the steps."""
-        return type(self)(**{name: column[rows] for name, column in vars(self).items()})
-
-    def without_zero(self: Steps, zero: float) -> Steps:
-        """The steps with drops that are `zero` [Pa] less."""
-        return replace(self, drop=self.drop - zero)
+    def __getitem__(self: Stretches, rows: Mask | NDArray[np.intp]) -> Stretches:
+        """Some of the stretches."""
+        return type(self)(**{name: column[..., rows] for name, column in vars(self).items()})
 
     def omissions(self) -> str:
-        """Numbers of steps that are not good, with the reasons; empty if all steps are good."""
+        """Numbers of stretches that are not good, with the reasons; empty if all are good."""
         reasons = (
             (self.dead, "in the dead zone of the flow meter"),
             (self.clipped, "with an instrument at an end of its range"),
@@ -309,63 +266,60 @@ class StepMeans:
         )
         return ", ".join(f"{np.count_nonzero(mask)} {reason}" for mask, reason in reasons if mask.any())
 
-    @property
-    def resistance(self) -> Array:
-        """C_R [Pa.s2/m6] of each step, eq. (1)."""
-        return self.drop / (self.flow * np.abs(self.flow))
 
-    @property
-    def resistance_error(self) -> Array:
-        """Standard error of C_R, from those of the drop and (twice, as C_R ~ 1/Q^2) of the flow."""
-        relative = np.hypot(self.drop_error / self.drop, 2 * self.flow_error / self.flow)
-        return np.abs(self.resistance) * relative
+def concatenate(tables: Sequence[Stretches]) -> Stretches:
+    """The stretches of several recordings, one table after the other."""
+    columns: dict[str, Any] = {
+        n: np.concatenate([vars(t)[n] for t in tables], axis=-1) for n in vars(tables[0])
+    }
+    return type(tables[0])(**columns)
 
 
-def step_means(recording: Recording, steps: Sequence[slice]) -> StepMeans:
-    """Means of pressure_in - pressure_out and of flow over each step."""
-    if not steps:
-        raise Problem(
-            f"{recording.source}: expected commands that are held for {SETTLING_TIME + SHORTEST_STEP:g} s or "
-            "longer, got none"
-        )
-    (means, errors), flow = masks.averages(recording, STEP_SIGNALS, steps), recording["flow"]
-    errors = np.maximum(errors, FINEST * np.abs(means))
-    causes = {name: masks.faults(recording, name) for name in STEP_SIGNALS}
-    in_dead_zone = causes["flow"]["dead zone"]
-    # a missing sample only drops out of the mean, but a sample with a wrong value biases it
-    wrong = [mask for masks in causes.values() for cause, mask in masks.items() if cause != "gaps"]
-    wrong_samples = np.logical_or.reduce(wrong) & ~in_dead_zone
-    dead, wrong_steps = (np.array([mask[s].any() for s in steps]) for mask in (in_dead_zone, wrong_samples))
-    readings = [flow[step][np.isfinite(flow[step])] for step in steps]  # also those in the dead zone
-    return StepMeans(
-        drop=means[0] - means[1],
-        drop_error=np.hypot(errors[0], errors[1]),
-        flow=np.array([samples.mean() if samples.size else math.nan for samples in readings]),
-        flow_error=errors[2],
+def means_over(recording: Recording, signals: Collection[str], stretches: Sequence[slice]) -> Means:
+    """Means of signals over stretches of a recording, also those of readings in the dead zone of a meter."""
+    means, errors = masks.averages(recording, tuple(signals), stretches)
+    dead, wrong = (np.zeros(len(stretches), dtype=bool) for _ in range(2))
+    for i, name in enumerate(signals):
+        causes = masks.faults(recording, name)
+        for k, part in enumerate(stretches):
+            if causes["dead zone"][part].any():
+                dead[k], means[i, k] = True, np.nanmean(recording[name][part])
+            # a missing sample only drops out of the mean, but a sample with a wrong value biases it
+            wrong[k] |= (causes["clipped"] | causes["stuck"])[part].any()
+    return Means(
+        means=means,
+        errors=np.maximum(errors, FINEST * np.abs(means)),
+        along=course(recording, stretches)[0],
         dead=dead,
-        clipped=wrong_steps & ~dead,
-        good=~dead & ~wrong_steps & np.isfinite(means).all(axis=0),
+        clipped=wrong & ~dead,
+        good=~dead & ~wrong & np.isfinite(means).all(axis=0),
     )
 
 
-def flow_steps(recordings: Sequence[Recording]) -> tuple[StepMeans, tuple[Array, str]]:
-    """Steps in which the flow is steady, and the `course` of the good ones."""
-    means, along, word = list[StepMeans](), list[Array](), ""
+def steady_means(
+    recordings: Sequence[Recording],
+    signals: Collection[str],
+    steady: Sequence[str],
+    least: int,
+    zero: Callable[[Recording], float] = lambda _: 0.0,
+) -> tuple[Means, tuple[Array, str]]:
+    """Means over the stretches in which the signals `steady` are, and the `course` of the good ones.
+
+    least   number of good stretches below which there is a Problem
+    zero    of each recording, which is taken off its steady signals
+    """
+    tables, rows = list[Means](), np.array([[n in steady] for n in signals])
     for recording in recordings:
-        stretches = steady_stretches(recording, ["flow"])
-        if not stretches:
-            expected = f"expected a steady flow for {SHORTEST_STRETCH:g} s or longer, got none"
-            raise Problem(f"{recording.source}: flow: {expected}")
-        means.append(step_means(recording, stretches))
-        values, word = course(recording, stretches)
-        along.append(values)
-    steps = concatenate(means)
-    if (count := np.count_nonzero(steps.good)) < MIN_STEPS:
+        found = means_over(recording, signals, steady_stretches(recording, steady))
+        tables.append(replace(found, means=found.means - rows * zero(recording)))
+    every = concatenate(tables)
+    if (count := np.count_nonzero(every.good)) < least:
         raise Problem(
-            f"{recordings[0].procedure}: expected at least {MIN_STEPS} steady steps, got {count}; "
-            f"left out of {steps.flow.size} steps: {steps.omissions() or 'none'}"
+            f"{recordings[0].source}: expected {least} or more stretches of {SHORTEST_STRETCH:g} s with "
+            f"steady {', '.join(steady)}, got {count}; left out of {every.good.size}: "
+            f"{every.omissions() or 'none'}"
         )
-    return steps, (np.concatenate(along)[steps.good], word)
+    return every, (every.along[every.good], course(recordings[0], ())[1])
 
 
 def pressure_offset(solution: Solution) -> Estimate:

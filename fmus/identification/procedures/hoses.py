@@ -37,7 +37,7 @@ from fmus.components import hose
 from fmus.components.chamber import Liquid
 from fmus.identification import balance
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures.experiment_data import STEP_SIGNALS, parameter_value
+from fmus.identification.procedures.experiment_data import parameter_value
 from fmus.identification.procedures.procedure import (
     Fit,
     Parameters,
@@ -53,7 +53,9 @@ from fmus.identification.results import BAR, LITRES_PER_MINUTE, Curve, Estimate,
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
+Factor = Callable[[float, float], float]  # of the ratios of length and bore
 AXES = ("boom_stick.stick_hose", "boom_stick.boom_hose")
+UNITS = {"C_R": "Pa.s2/m6", "I": "kg/m4", "C": "m3/Pa"}
 WIDEST = 3.0  # of the logarithm of a viscosity over the known one, in a search that diverges
 
 
@@ -88,14 +90,10 @@ class TestedHose:
         return parameter_value(self.parameters, "boom_stick.density") / self.density
 
     @property
-    def modulus(self) -> float:
-        """Bulk modulus of the oil [Pa]."""
-        return parameter_value(self.parameters, "boom_stick.bulk_modulus")
-
-    @property
     def frequency(self) -> float:
         """Of eq. (3), above which it is no single lump [Hz]."""
-        return float(hose.frequency_limit(self.length, self.density, self.modulus))
+        modulus = parameter_value(self.parameters, "boom_stick.bulk_modulus")
+        return float(hose.frequency_limit(self.length, self.density, modulus))
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -103,14 +101,7 @@ class TestedHose:
         return self.length, self.bore, self.density, self.viscosity
 
     def scaled(
-        self,
-        quantity: str,
-        unit: str,
-        unknown: str,
-        lines: Sequence[str],
-        factor: Callable[[float, float], float],
-        note: str,
-        scaling: str,
+        self, quantity: str, unknown: str, lines: Sequence[str], factor: Factor, note: str, scaling: str
     ) -> list[Quantity]:
         """A quantity of the machine's lines: `factor` of the ratios of length and bore times the unknown.
 
@@ -119,10 +110,9 @@ class TestedHose:
         found = []
         for line in lines:
             length, bore = (parameter_value(self.parameters, f"{line}_{n}") for n in ("length", "bore"))
-            ratio = factor(length / self.length, bore / self.bore)
-            about = f"{length:g} m, {bore * 1e3:.4g} mm"
-            how = note + (scaling.format(ratio=ratio, size=about, own=self) if abs(ratio - 1) > 1e-9 else "")
-            found.append(Quantity(f"{line}_{quantity}", unit, unknown, how, ratio))
+            ratio, size = factor(length / self.length, bore / self.bore), f"{length:g} m, {bore * 1e3:.4g} mm"
+            how = note + scaling.format(ratio=ratio, size=size, own=self) * (abs(ratio - 1) > 1e-9)
+            found.append(Quantity(f"{line}_{quantity}", UNITS[unknown], unknown, how, ratio))
         return found
 
     def remark(self) -> str:
@@ -144,7 +134,8 @@ def friction(own: Any, known: Sequence[Any], thicker: Any = 0.0) -> hose.Frictio
 
 # ---- resistance
 
-FLOWS = (60.0, 100.0, 200.0, 300.0)  # L/min, at which C_R by Blasius' law is reported
+STEADY = {"pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
+MIN_STEPS = 4  # fewer steps of a flow do not tell a viscosity from a zero
 REFERENCE = f"{hose.REFERENCE_FLOW / LITRES_PER_MINUTE[1]:.0f} L/min"
 STARTS = (-1.0, 0.0, 1.0, 2.0)  # of the logarithm of the viscosity over the known one, in its search
 FURTHER = 12.0  # by which the chi-square of a free viscosity is less: 1 in 2000 by chance
@@ -159,18 +150,15 @@ def drop(p_in: Any, p_out: Any, flow: Any, u: Any, *known: Any) -> Any:
 
 def _steps(_: Recordings, known: Any) -> Parts:
     tested, steps, along = known
-    good, none = steps[steps.good], np.zeros(np.count_nonzero(steps.good))
-    # only the difference of the pressures counts, so that at the outlet is taken as zero
-    means, errors = np.array([good.drop, none, good.flow]), np.array([good.drop_error, none, good.flow_error])
-    law = law_of(drop, len(STEP_SIGNALS), ("C_R", "viscosity"), 4)
-    return [(balance.samples_of(law, STEP_SIGNALS, means, errors, tested.constants), along)]
+    good, law = steps[steps.good], law_of(drop, len(STEADY), ("C_R", "viscosity"), 4)
+    return [(balance.samples_of(law, STEADY, good.means, good.errors, tested.constants), along)]
 
 
 def _turbulent(known: Any, thicker: float = 0.0) -> dict[str, float]:
     """C_R as if all flows were turbulent, and the logarithm of the viscosity over the known one."""
-    good = known[1][known[1].good]
-    turbulent = good.flow * np.abs(good.flow)
-    start = float(np.cov(turbulent, good.drop)[0, 1] / max(np.var(turbulent, ddof=1), TINY))
+    inlet, outlet, flow = known[1].means[:, known[1].good]
+    turbulent = flow * np.abs(flow)
+    start = float(np.cov(turbulent, inlet - outlet)[0, 1] / max(np.var(turbulent, ddof=1), TINY))
     if start <= 0:
         raise Problem(
             f"hose_resistance: the drop pressure_in - pressure_out falls with the flow, C_R = {start:.3g}: "
@@ -199,20 +187,16 @@ def _resistances(fit: Fit) -> list[Quantity]:
     tested: TestedHose = fit.known[0]
     thicker = tested.to_density**0.75
     return tested.scaled(
-        *("resistance", UNITS["C_R"], "C_R", AXES),
+        *("resistance", "C_R", AXES),
         lambda length, bore: float(hose.scaled_resistance(thicker, length, bore)),
         *(f"Blasius, section 4(b), at {REFERENCE}", ", eq. (10) from {own.length:g} m to {size}"),
     )
 
 
 def _of_tested(fit: Fit) -> Iterator[Estimate]:
-    """C_R of the tested hose, also at other flows; what was estimated with it."""
+    """C_R of the tested hose, and what was estimated with it."""
     yield fit.estimate(Quantity("C_R", UNITS["C_R"], "C_R", "the tested hose"))
     yield data.pressure_offset(fit.solution)
-    for q in FLOWS:
-        factor = (hose.REFERENCE_FLOW / (q * LITRES_PER_MINUTE[1])) ** 0.25
-        note = "Blasius, where the flow is turbulent"
-        yield fit.estimate(Quantity(f"C_R({q:g} L/min)", UNITS["C_R"], "C_R", note, factor))
     if "viscosity" in fit.solution.fit.names:
         note = "of the tested oil over the known one, by the small flows"
         yield fit.derived("viscosity ratio", "1", note, "viscosity", math.exp)
@@ -238,8 +222,8 @@ def _remarks(fit: Fit) -> Iterator[str]:
     tested, steps, _ = fit.known
     if omissions := steps.omissions():
         flat = ", the flat region at the beginning of Fig. 6" if steps.dead.any() else ""
-        yield f"Left out of {steps.flow.size} steps: {omissions}{flat}."
-    yield f"C_R is valid for {REFERENCE}. It falls by 16 % for each doubling of the flow."
+        yield f"Left out of {steps.good.size} steps: {omissions}{flat}."
+    yield f"C_R is valid for {REFERENCE}. With the flow it falls as Q^(-1/4), by 16 % for each doubling."
     if "viscosity" in fit.solution.fit.names:
         yield (
             f"The small flows are those of {math.exp(fit['viscosity']):.3g} times the viscosity. C_R is "
@@ -253,21 +237,19 @@ def _remarks(fit: Fit) -> Iterator[str]:
 
 def _drop_over_flow(fit: Fit) -> tuple[Panel, Panel]:
     """Drop over flow with the law, and the residual."""
-    steps, sample = (
-        fit.known[1].without_zero(data.pressure_offset(fit.solution).value),
-        fit.solution.samples[0],
-    )
-    good, dead = steps[steps.good], steps[steps.dead]
-    flows = np.linspace(0.0, float(np.abs(good.flow).max()), 200)
+    steps, sample = fit.known[1], fit.solution.samples[0]
+    flow, drops = steps.means[2], steps.means[0] - steps.means[1] - data.pressure_offset(fit.solution).value
+    error = np.hypot(*steps.errors[:2, steps.good])
+    flows = np.linspace(0.0, float(np.abs(flow[steps.good]).max()), 200)
     theta = np.array([fit[n] if n in fit.solution.fit.names else 0.0 for n in sample.names])
     none = np.zeros_like(flows)
     law = -np.array(sample.law.terms(np.array([none, none, flows]), theta, sample.known)[0])[0]
     curves = (
-        Curve("measured", good.flow, good.drop, error=good.drop_error),
-        Curve("masked: dead zone of the meter", dead.flow, dead.drop, "masked"),
+        Curve("measured", flow[steps.good], drops[steps.good], error=error),
+        Curve("masked: dead zone of the meter", flow[steps.dead], drops[steps.dead], "masked"),
         Curve("laminar to turbulent", flows, law, "fit", line=True),
     )
-    left = Curve("measured - fit", good.flow, fit.residual(), error=good.drop_error)
+    left = Curve("measured - fit", flow[steps.good], fit.residual(), error=error)
     panel = Panel("flow", "pressure drop", curves, "Drop along the hose", LITRES_PER_MINUTE, BAR)
     return panel, replace(panel, y_label="residual", title="", curves=(left,))
 
@@ -276,9 +258,12 @@ HOSE_RESISTANCE = Procedure(
     name="hose_resistance",
     title="Hose resistance: {0[0].size}",
     figure=6,
-    signals={"pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"},
+    signals=STEADY,
     law="The hose's law",
-    known=lambda tests, parameters: (TestedHose.of(tests, parameters), *data.flow_steps(tests)),
+    known=lambda tests, parameters: (
+        TestedHose.of(tests, parameters),
+        *data.steady_means(tests, STEADY, ["flow"], MIN_STEPS),
+    ),
     samples=_steps,
     start=_turbulent,
     limits=lambda tests: (
@@ -301,7 +286,6 @@ HOSE_RESISTANCE = Procedure(
 MOVING = {"pressure_in": "Pa", "pressure_out": "Pa", "flow_in": "m3/s", "flow_out": "m3/s"}
 PAIRS = ("pressure_in", "pressure_out"), ("pressure_out", "flow_out")  # that may share a logger
 UNKNOWNS = ("I", "C", "C_R", "R", "s", "r")
-UNITS = {"C_R": "Pa.s2/m6", "I": "kg/m4", "C": "m3/Pa"}
 EQUAL = ("I", "C")  # in all recordings of a hose
 PERIODS = 4.0  # half width of the windows, in periods of the frequency of eq. (3)
 SAMPLES_PER_PERIOD = 2.5  # minimum, above Nyquist's two
@@ -348,13 +332,12 @@ def _windows(tests: Recordings, tested: TestedHose) -> Parts:
 
 def _start(tested: TestedHose) -> dict[str, float]:
     """From the machine's hose and the known bulk modulus."""
-    own, length, bore = (
-        parameter_value(tested.parameters, f"boom_stick.stick_hose_{n}")
-        for n in ("resistance", "length", "bore")
-    )
+    names = ("bulk_modulus", *(f"stick_hose_{n}" for n in ("resistance", "length", "bore")))
+    known = (parameter_value(tested.parameters, f"boom_stick.{n}") for n in names)
+    modulus, own, length, bore = known
     return {
         "I": float(hose.inertance(tested.length, tested.bore, tested.density)),
-        "C": float(hose.capacitance(tested.length, tested.bore, tested.modulus)),
+        "C": float(hose.capacitance(tested.length, tested.bore, modulus)),
         "C_R": float(hose.scaled_resistance(own, tested.length / length, tested.bore / bore)),
         **dict.fromkeys(("R", "s", "r"), 0.0),
     }
@@ -364,8 +347,7 @@ def _estimates(fit: Fit) -> list[Quantity]:
     """The machine's lines."""
     tested: TestedHose = fit.known
     about = "regression over windows, section 4(c)", ", times {ratio:.4g} for {size} and the machine's oil"
-    inertance = "inertance", UNITS["I"], "I", (*AXES, "swing.line")
-    capacitance = "capacitance", UNITS["C"], "C", AXES
+    inertance, capacitance = ("inertance", "I", (*AXES, "swing.line")), ("capacitance", "C", AXES)
     return [
         *tested.scaled(*inertance, lambda length, bore: tested.to_density * length / bore**2, *about),
         *tested.scaled(*capacitance, lambda length, bore: length * bore**2, *about),

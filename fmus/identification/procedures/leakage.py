@@ -70,9 +70,9 @@ def leakage(a: Any, b: Any, flow_a: Any, drain: Any, u: Any, _: Any) -> Any:
 
 def _steady(tests: Recordings, _: Any) -> Parts:
     ports = "pressure_a", "pressure_b"
-    means, errors, along = data.steady_points(tests, MOTOR, ports, MIN_POINTS, data.tank_pressure)
-    law = law_of(leakage, len(MOTOR), (*EQUATIONS, *QUADRATIC))
-    return [(samples_of(law, MOTOR, means, errors), along)]
+    every, along = data.steady_means(tests, MOTOR, ports, MIN_POINTS, data.tank_pressure)
+    law, points = law_of(leakage, len(MOTOR), (*EQUATIONS, *QUADRATIC)), every[every.good]
+    return [(samples_of(law, MOTOR, points.means, points.errors), along)]
 
 
 def _positive(fit: Fit) -> None:
@@ -101,9 +101,6 @@ MOTOR_LEAKAGE = Procedure(
         Quantity(f"{n}_leakage_resistance", "Pa.s/m3", n, f"eq. {equation}, steady pressures", inverse=True)
         for n, equation in EQUATIONS.items()
     ],
-    others=lambda fit: (
-        fit.estimate(Quantity(f"conductance, {n} leakage", "m3/(s.Pa)", n, "1/R")) for n in EQUATIONS
-    ),
     panels=lambda fit: (
         *fit.line(Panel("P_1 - P_2", "internal leakage", (), "", *UNITS), "internal", 0),
         *fit.line(Panel("P_1 + P_2", "external leakage", (), "", *UNITS), "external", 1),

@@ -1,10 +1,10 @@
 """Momentum balance: the machine's equation of motion as a law of `balance`, without accelerations.
 
-Paper eq. (4) in terms of the generalised momenta h = M(q) q':
+Paper eq. (4) as Lagrange's equations, with the energies T and V of the arm:
 
-    dh/dt = f        f = tau + dT/dq - G        dT/dq = dM/dt q' - V
+    dh/dt = f        h = dT/dq'        f = tau + d(T - V)/dq
 
-M, V, G and tau are those of `fmus.manipulator`. The torque and the forces of the hydraulics are those of
+T, V and tau are those of `fmus.manipulator`. The torque and the forces of the hydraulics are those of
 `fmus.swing` (motor ports by line resistance and leakage) and `fmus.boom_stick`, at measured pressures. One
 Savitzky-Golay filter smooths angles and pressures first; the speeds are its derivative.
 """
@@ -31,7 +31,6 @@ from fmus.identification.procedures.experiment_data import noise_sd, parameter_v
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.manipulator import MANIPULATOR
-from fmus.manipulator.variables import ManipulatorInputs
 from fmus.parameters import Number
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
@@ -80,15 +79,17 @@ def symbolic_equations() -> SimpleNamespace:
     )
     applied = {"swing_torque": swing.swing_torque}
     applied |= {n: getattr(cylinders, n) for n in ("boom_force", "stick_force")}
-    x, own_p = _at(MANIPULATOR.states, measured), _parameters_of(MANIPULATOR, p)
-    motion, forces = (
-        MANIPULATOR.model.motion(x, own_p),
-        MANIPULATOR.model.forces(x, _at(ManipulatorInputs, applied), own_p),
+    of_arm = (
+        _at(MANIPULATOR.states, measured),
+        _at(MANIPULATOR.inputs, applied),
+        _parameters_of(MANIPULATOR, p),
     )
-    momentum, rods = motion.mass @ w, [piston.transmission for piston in forces.pistons.values()]
+    seen, forces = MANIPULATOR.observe(*of_arm), MANIPULATOR.model.forces(*of_arm)
+    rods = [piston.transmission for piston in forces.pistons.values()]
     return SimpleNamespace(
-        **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p, "momentum": momentum},
-        force=forces.tau + ca.jtimes(momentum, q, w) - motion.coriolis - motion.gravity,
+        **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p},
+        momentum=ca.gradient(seen.kinetic_energy, w),
+        force=forces.tau + ca.gradient(seen.kinetic_energy - seen.potential_energy, q),
         position=ca.vertcat(*(r.position for r in rods)),
         moment_arm=ca.vertcat(*(r.arm for r in rods)),
     )

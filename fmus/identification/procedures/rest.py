@@ -31,7 +31,6 @@ SIGNALS: Mapping[str, str] = {}  # of any name; those in Pa and m3/s are read
 READ = {"Pa": METERS["pressure"], "m3/s": METERS["flow"]}
 CUT = 0.01  # share of readings at the lowest one from which on the mean is not the zero
 LARGEST = 20.0  # limits of the data sheet above which the machine was not at rest
-SPREAD = math.sqrt(3)  # limit of a zero over its standard deviation (`balance.limit_sd`)
 LOADED = "expected a reading near zero, with the pump off and all pressures relieved"
 
 

@@ -48,9 +48,9 @@ from fmus.components.orifice import Edge
 from fmus.identification import balance
 from fmus.identification.balance import SMALLEST, UNLIKELY, Law, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures.experiment_data import STEP_SIGNALS, StepMeans
+from fmus.identification.procedures.experiment_data import SETTLING_TIME, SHORTEST_STEP, Means
 from fmus.identification.procedures.procedure import Computed, misfit
-from fmus.identification.recordings.masks import in_dead_zone, steady
+from fmus.identification.recordings.masks import MIN_GOOD, in_dead_zone, steady
 from fmus.identification.results import (
     BAR,
     LITRES_PER_MINUTE,
@@ -67,7 +67,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording
 from orchestrator.data.table import Array
 
-SIGNALS: Mapping[str, str] = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
+READ = {"pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
+SIGNALS: Mapping[str, str] = {"command": "V", **READ}
 VOLTAGES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0)  # V, at which C_R is reported
 REAL = 0.01, 1.5  # full commands, between which the largest command of a bench is
 MIN_VOLTAGES = 3  # different commands at which the flow must be measured
@@ -76,7 +77,6 @@ COMMAND_SIGN = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}
 SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges that one direction opens
 OTHER_SIZE = 3.0  # times the known area: a wrong unit is more likely than such a valve
 SAME_OIL = 0.01  # relative difference of two densities of one oil
-MOST = 0.5  # share of the samples of a step that show its scatter
 SAME = 2e-3  # of the full command: steps that are closer have one command
 CERTAIN = 4.0  # standard errors above which a flow is certain
 SHARP, WIDTHS = 1e-3, 17  # V, the shortest rounding that the machine reads; number of roundings of a profile
@@ -85,7 +85,6 @@ FURTHER = 10.0  # limits of a zero up to which it may be a fault of a sensor
 COMMAND, RESISTANCE = "command [V]", "C_R [Pa.s2/m6]"  # labels of axes
 PRESSURES = ("pressure_in", "pressure_out")
 CHANNELS = (*PRESSURES, "flow", "command", "supply drop", "change", "course", "density", "viscosity")
-SCATTERED = [CHANNELS.index(n) for n in ("pressure_in", "flow")]
 EFFECTS, LINE = ("lag", "drift"), ("slope", "start")  # unknowns of all edges, and of one straight opening
 LEAK, LEAK_SD = "leak", 1.0  # of the leakage over the known one, less one: it is assumed, not measured
 FINE, DRAWN = 1000, 96  # roundings between those of a profile, and commands at which an opening is drawn
@@ -188,12 +187,12 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
 
 
 @dataclass(frozen=True)
-class ValveSteps(StepMeans):
-    """Means over the steps of one or several edges.
+class ValveSteps(Means):
+    """Means over the steps of one or several edges, of the signals `READ`.
 
+    along                    oil temperature, or time from the start, from its mean, over its range
     command, command_error   magnitude [V] and its standard error
     supply_drop              pressure drop from supply to tank [Pa]: the largest over an edge, nearly closed
-    course                   oil temperature, or time from the start, from its mean, over its range
     change                   1 if the command was lower before, -1 if it was higher, 0 for the first step
     density, viscosity       of the tested oil [kg/m3], [Pa.s]
     edge                     "P-A", "P-B", "A-T" or "B-T"
@@ -204,13 +203,27 @@ class ValveSteps(StepMeans):
     command: Array
     command_error: Array
     supply_drop: Array
-    course: Array
     change: Array
     density: Array
     viscosity: Array
     edge: Array
     closed: Mask
     idle_flow: Array
+
+    @property
+    def drop(self) -> Array:
+        """Pressure drop [Pa]."""
+        return np.asarray(self.means[0] - self.means[1])
+
+    @property
+    def flow(self) -> Array:
+        """Flow [m3/s]."""
+        return np.asarray(self.means[2])
+
+    @property
+    def flow_error(self) -> Array:
+        """Standard error of the flow [m3/s]."""
+        return np.asarray(self.errors[2])
 
     @property
     def edges(self) -> tuple[str, ...]:
@@ -242,16 +255,16 @@ class ValveSteps(StepMeans):
     def idle(self, c: Known) -> tuple[Array, Array]:
         """Commands of steps whose flow is not told from zero, and the largest areas that read so."""
         shut = self[~self.good & np.isfinite(self.idle_flow)]
-        return shut.command, replace(shut, flow=np.sign(shut.drop) * shut.idle_flow).effective(c)
+        most = np.array([*shut.means[:2], np.sign(shut.drop) * shut.idle_flow])
+        return shut.command, replace(shut, means=most).effective(c)
 
     def samples(
         self, c: Known, law: str, names: Mapping[str, str], slope: float = 0.0, at: float = 0.0
     ) -> Samples:
         """The steps in one of the laws; names: those of its unknowns among the unknowns of all steps."""
-        zero = np.zeros_like(self.drop)  # only the difference of the pressures counts
-        others = self.supply_drop, self.change, self.course, self.density, self.viscosity
-        raw = np.array([self.drop, zero, self.flow, self.command, *others])
-        noise = [self.drop_error, zero, self.flow_error, self.command_error, *np.zeros_like(others)]
+        others = self.supply_drop, self.change, self.along, self.density, self.viscosity
+        raw = np.array([*self.means, self.command, *others])
+        noise = [*self.errors, self.command_error, *np.zeros_like(others)]
         known = c.discharge_coefficient, c.transition_reynolds, c.leakage, slope, at
         found = balance.samples_of(laws()[law], CHANNELS, raw, np.array(noise), known)
         return replace(found, names=tuple(names.get(n, n) for n in found.names))
@@ -269,8 +282,14 @@ def _stretches(recording: Recording, c: Known) -> tuple[str, Array, list[slice]]
         expected = "positive" if COMMAND_SIGN[edge] > 0 else "negative"
         raise Problem(f"{recording.source}: command: expected {expected} values, which open {edge}, got none")
     gapless = replace(recording, signals={**recording.signals, "command": command})
-    stretches = steady(gapless, "command", data.SETTLING_TIME, data.SHORTEST_STEP)
-    return edge, command, [step for step in stretches if command[step.start] > -SAME * full]
+    stretches = steady(gapless, "command", SETTLING_TIME, SHORTEST_STEP)
+    steps = [step for step in stretches if command[step.start] > -SAME * full]
+    if not steps:
+        expected = (
+            f"expected commands that are held for {SETTLING_TIME + SHORTEST_STEP:g} s or longer, got none"
+        )
+        raise Problem(f"{recording.source}: {expected}")
+    return edge, command, steps
 
 
 def _steps_of(recording: Recording, c: Known) -> ValveSteps:
@@ -278,11 +297,12 @@ def _steps_of(recording: Recording, c: Known) -> ValveSteps:
     edge, command, steps = _stretches(recording, c)
     # samples would look stuck with a noise that is much too large, a dead zone certain with one too small
     scatter, sensors = _scatter(recording, c), dict(recording.sensors)
-    for name in STEP_SIGNALS:
+    for name in READ:
         sensors[name] = replace(recording.sensor(name), noise=data.noise_sd(scatter, name))
     recording = replace(recording, sensors=sensors)
-    means, meter = data.step_means(recording, steps), recording.sensor("flow")
-    highest = (np.sign(means.drop) * means.flow + CERTAIN * means.flow_error)[means.good]  # along the drop
+    means, meter = data.means_over(recording, READ, steps), recording.sensor("flow")
+    drop, flow = means.means[0] - means.means[1], means.means[2]
+    highest = (np.sign(drop) * flow + CERTAIN * means.errors[2])[means.good]  # along the drop
     wrong_way = int(np.count_nonzero(highest < 0))
     if wrong_way > highest.size / 2:
         raise Problem(
@@ -293,22 +313,18 @@ def _steps_of(recording: Recording, c: Known) -> ValveSteps:
     middle = np.array([command[step].mean() for step in steps])
     size = np.sqrt([step.stop - step.start for step in steps])
     oil = {n: data.stated(recording, n) or getattr(c, n) for n in ("density", "viscosity")}
-    largest = means.drop[np.nanargmax(np.abs(means.drop))] if np.isfinite(means.drop).any() else 0.0
-    of_dead = np.array([np.nanstd(recording["flow"][step]) for step in steps]) / size
-    flow_error = np.where(means.dead, np.maximum(of_dead, meter.resolution / 12**0.5), means.flow_error)
-    errors = means.drop_error, flow_error
-    usual = [float(np.median(e[means.good])) if means.good.any() else 0.0 for e in errors]
-    along, _ = data.course(recording, steps)
+    largest = drop[np.nanargmax(np.abs(drop))] if np.isfinite(drop).any() else 0.0
+    errors, in_dead = means.errors.copy(), np.array([np.nanstd(recording["flow"][step]) for step in steps])
+    errors[2, means.dead] = np.maximum(in_dead / size, meter.resolution / 12**0.5)[means.dead]
+    if means.good.any():  # of few samples, an error is too small by chance
+        usual = np.median(errors[:, means.good], axis=1, keepdims=True)
+        errors[:, means.good] = np.maximum(errors[:, means.good], usual)
+    along = (means.along - means.along.mean()) / (float(np.ptp(means.along)) or 1.0)
     return ValveSteps(
-        **vars(means)
-        | {
-            "drop_error": np.maximum(means.drop_error, usual[0]),
-            "flow_error": np.where(means.good, np.maximum(flow_error, usual[1]), flow_error),
-        },
+        **vars(means) | {"errors": errors, "along": along},
         command=np.abs(middle),
         command_error=np.array([command[step].std() for step in steps]) / size,
         supply_drop=np.full(len(steps), largest),
-        course=(along - along.mean()) / (float(np.ptp(along)) or 1.0),
         change=np.sign(np.diff(middle, prepend=middle[:1])),
         **{n: np.full(len(steps), value) for n, value in oil.items()},
         edge=np.full(len(steps), edge),
@@ -321,12 +337,12 @@ def _scatter(recording: Recording, c: Known) -> Recording:
     """The recording less its means over the steps; gaps elsewhere, and in the dead zone of the meter."""
     signals, sensors = dict(recording.signals), dict(recording.sensors)
     steps = _stretches(recording, c)[2]
-    for name in STEP_SIGNALS:
+    for name in READ:
         sensor = recording.sensor(name)
         read = np.where(in_dead_zone(recording[name], sensor), np.nan, recording[name])
         signals[name], sensors[name] = np.full_like(read, np.nan), replace(sensor, dead_zone=0.0)
         for step in steps:
-            if np.isfinite(read[step]).mean() > MOST:
+            if np.isfinite(read[step]).mean() >= MIN_GOOD:
                 signals[name][step] = read[step] - np.nanmean(read[step])
     return replace(recording, signals=signals, sensors=sensors)
 
@@ -364,237 +380,23 @@ def _closed(steps: ValveSteps, c: Known) -> tuple[Mask, float]:
     return closed, zero
 
 
-# ---- fits --------------------------------------------------------------------------------------------
+# ---- openings ----------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=1)
+def _ramp() -> ca.Function:
+    """(command; slope, start, rounding) -> area of a straight opening, and its derivatives by these."""
+    command, theta = ca.SX.sym("command"), ca.SX.sym("theta", 3)
+    slope, start, width = ca.vertsplit(theta)
+    area = slope * ramp(command - start + width / 2, width)
+    return ca.Function("ramp", [command, theta], [area, ca.densify(ca.jacobian(area, theta).T)])
 
 
 @dataclass(frozen=True)
-class Nodes:
-    """Free areas [m2] of one opening at its commands [V], (m,) each, ascending, and their covariance.
+class Table:
+    """The opening as the machine reads it: a monotone cubic through at most nine of the measured commands.
 
-    noise   their standard deviations without the zeros of the sensors, which all areas have in common
-    """
-
-    command: Array
-    area: Array
-    covariance: Array
-    noise: Array
-    solution: Solution
-
-    @property
-    def sd(self) -> Array:
-        """Standard deviations of the areas [m2]."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def start(self) -> float:
-        """Command [V] at which the power (V - V_0)^n through the lowest three areas begins."""
-        n = np.linspace(*EXPONENTS)
-        roots = self.area[:3, None] ** (1 / n)
-        slope = np.diff(roots, axis=0) / np.diff(self.command[:3])[:, None]
-        k = int(np.argmin(np.abs(slope[1] / slope[0] - 1)))
-        return float(self.command[0] - roots[0, k] / slope[0, k])
-
-    def chord(self) -> tuple[float, float]:
-        """Command [V] at which the straight line through the lowest two areas begins; standard deviation."""
-        a, v, s = self.area, self.command, self.sd
-        length = (v[1] - v[0]) / (a[1] - a[0])
-        return float(v[0] - a[0] * length), float(length * np.hypot(s[0], s[1] * a[0] / a[1]))
-
-    def falling(self) -> tuple[float, float]:
-        """Probability that a rising opening falls as much between any two nodes; largest fall in parts."""
-        first, second = np.triu_indices(self.area.size, 1)
-        fall, variance = self.area[first] - self.area[second], np.diag(self.covariance)
-        sd = np.sqrt(variance[first] + variance[second] - 2 * self.covariance[first, second])
-        p = min(1.0, fall.size * float(stats.norm.sf(np.max(fall / sd))))
-        return p, float(np.max(1 - self.area / np.maximum.accumulate(self.area)))
-
-
-@dataclass(frozen=True)
-class Lines:
-    """Straight openings of some edges with one rounding, or one opening of all, the label "".
-
-    solution    their fit
-    rounding    [V] with its interval by the profile likelihood
-    cost        chi-square of the best rounding, with the zeros
-    """
-
-    solution: Solution
-    rounding: Estimate
-    cost: float
-
-    @property
-    def told(self) -> bool:
-        """Whether the data tell the rounding, which then is an unknown of the fit."""
-        return "rounding" in self.solution.fit.names
-
-    def area(self, label: str, command: float) -> Estimate:
-        """Area [m2] at a command [V]: the ramp of `fmus.smooth`."""
-        fitted, w = self.solution.fit, self.rounding.value
-        slope, z = fitted[f"slope{label}"], command - fitted[f"start{label}"] + w / 2
-        s = min(max(z / w, 0.0), 1.0)
-        foot, by_z = s**3 - s**4 / 2, 3 * s**2 - 2 * s**3
-        opening, by_rounding = w * foot + max(z - w, 0.0), slope * (by_z / 2 + foot - s * by_z)
-        weights = {f"slope{label}": opening, f"start{label}": -slope * by_z, "rounding": by_rounding}
-        sd = math.hypot(fitted.combination(weights)[1], by_rounding * self._sd)
-        return Estimate.normal("", slope * opening, "m2", sd, "")
-
-    def start(self, label: str) -> Estimate:
-        """Dead band [V], which holds each rounding that the data allow."""
-        fitted, w = self.solution.fit, self.rounding
-        value, sd = fitted[f"start{label}"], fitted.combination({f"start{label}": 1.0, "rounding": -0.5})[1]
-        low, high = (w.value, w.value) if self.told else (w.low, w.high)
-        ends = value - w.value / 2, value - high / 2 - FACTOR * sd, value - low / 2 + FACTOR * sd
-        middle, low, high = (max(x, 0.0) for x in ends)
-        return Estimate("", middle, "V", math.hypot(sd, self._sd / 2), low, high, "")
-
-    @property
-    def _sd(self) -> float:
-        return 0.0 if self.told else self.rounding.sd  # a rounding that is told is in the covariance
-
-
-@dataclass(frozen=True)
-class ValveFit:
-    """Fits of the steps of all edges: free areas, and straight lines.
-
-    nodes      edge -> its free areas
-    pooled     free areas of all edges together; None if there is no fit, as the following
-    lines      a straight line for each edge
-    line       one line for all edges
-    scatter    residuals over the noise that steps with one command have, 1 unless it is significantly more
-    effects    lag [V] and drift [1], and their standard deviations
-    freed      those of them that are estimated with the openings
-    """
-
-    steps: ValveSteps
-    known: Known
-    limits: Mapping[str, float]
-    nodes: Mapping[str, Nodes]
-    pooled: Nodes | None
-    lines: Lines | None
-    line: Lines | None
-    scatter: float
-    effects: Mapping[str, tuple[float, float]]
-    freed: tuple[str, ...]
-
-    def _chance(self, cost: float, terms: int) -> float:
-        """Probability of a chi-square that is larger by as much for fewer unknowns."""
-        return float(stats.chi2.sf(max(cost, 0.0) / self.scatter**2, max(terms, 1)))
-
-    @cached_property
-    def p(self) -> float:
-        """Probability that all openings are straight lines, by chi-square against the free areas."""
-        if not self.lines:
-            return 0.0
-        terms = self.lines.solution.fit.freedom - self.by_nodes.fit.freedom
-        return self._chance(self.lines.cost - self.by_nodes.cost, terms)
-
-    @property
-    def straight(self) -> Lines | None:
-        """A straight line for each edge, if that suffices."""
-        return self.lines if self.p >= UNLIKELY else None
-
-    @cached_property
-    def equal(self) -> float:
-        """Probability that equal edges differ as much: that of straight ones if a line suffices."""
-        if self.straight:
-            terms = 2 * (len(self.nodes) - 1)
-            return self._chance(self.line.cost - self.straight.cost, terms) if self.line else 0.0
-        if not self.pooled:
-            return 0.0
-        terms = sum(n.command.size for n in self.nodes.values()) - self.pooled.command.size
-        return self._chance(self.pooled.solution.cost - self.by_nodes.cost, terms)
-
-    @cached_property
-    def common(self) -> Lines | None:
-        """One straight line for all edges, if that suffices; the machine has none that begins below zero."""
-        if not (self.straight and self.line and self.equal > UNLIKELY):
-            return None
-        fitted = self.line.solution.fit
-        return self.line if fitted["start"] > -CERTAIN * fitted.sd("start") else None
-
-    @property
-    def by_nodes(self) -> Solution:
-        """The fit of the free areas of each edge, with the zeros in common."""
-        return next(iter(self.nodes.values())).solution
-
-    @property
-    def solution(self) -> Solution:
-        """The fit whose zeros and residuals are those of the procedure."""
-        return self.straight.solution if self.straight else self.by_nodes
-
-    @cached_property
-    def corrected(self) -> ValveSteps:
-        """The steps without the zero of the pressures, at the commands that they would have without a lag."""
-        lag = self.effects["lag"][0] if "lag" in self.freed else 0.0
-        command = np.maximum(self.steps.command - lag * self.steps.change / 2, 0.0)
-        return replace(self.steps.without_zero(data.pressure_offset(self.solution).value), command=command)
-
-    @cached_property
-    def openings(self) -> Mapping[str, Opening]:
-        """Edge -> its opening; the same object for equal edges."""
-        if self.straight and not self.common:
-            return {edge: self.on_line(self.straight, edge) for edge in self.nodes}
-        if self.common or (self.pooled and self.equal > UNLIKELY):
-            return dict.fromkeys(self.nodes, self.on_line(self.common, "") if self.common else self._free(""))
-        return {edge: self._free(edge) for edge in self.nodes}
-
-    @property
-    def distinct(self) -> Mapping[str, Opening]:
-        """The openings without repetitions: of one only the name is ""."""
-        return self.openings if len(set(map(id, self.openings.values()))) > 1 else {"": self.widest}
-
-    @property
-    def widest(self) -> Opening:
-        """That of the edge that opens furthest."""
-        return max(self.openings.values(), key=lambda opening: opening.full.value)
-
-    def on_line(self, lines: Lines, edge: str) -> Opening:
-        """The straight opening of an edge, of all for the name ""."""
-
-        def at(command: float) -> Estimate:
-            return self._drifting(lines.area(edge, command))
-
-        full, known = self.known.full_command, self.known.rounding.value
-        start, assumed = lines.start(edge), not lines.told and lines.rounding.value == known
-        if assumed:
-            note = f"rounding {known:.3g} V as known; the interval is that of any rounding"
-            start = replace(start, note=note)
-        commands = np.array([s.command.mean() for s in self.steps.of(edge).grouped(self.known)])
-        commands = commands[commands < full * (1 + SAME)]
-        areas = [at(float(v)) for v in commands]
-        return Opening(commands, areas, start, full, None if assumed else lines.rounding, at)
-
-    def _free(self, edge: str) -> Opening:
-        """The opening with free areas.
-
-        It begins anywhere below the first area, but not before the last command but one that has no flow.
-        """
-        nodes = self.nodes[edge] if edge else self.pooled
-        assert nodes
-        steps, full = self.steps.of(edge), self.known.full_command
-        inside = nodes.command < full * (1 + SAME)
-        v, area, sd = nodes.command[inside], nodes.area[inside], nodes.sd[inside]
-        every = zip(area, sd, strict=True)
-        areas = [self._drifting(Estimate.normal("", float(x), "m2", float(y), "")) for x, y in every]
-        # a meter in its dead zone does not tell that the edge is closed
-        shut = np.unique(np.round(steps.command[steps.closed & ~steps.dead & (steps.command < v[0])], 2))
-        low = float(shut[-2]) if len(shut) > 1 else 0.0
-        value = min(max(nodes.start(), low), float(v[0]) - SHARP)
-        start = Estimate("", value, "V", float(v[0] - low) / 12**0.5, low, float(v[0]), "")
-        covariance = nodes.covariance[np.ix_(inside, inside)]
-        return Opening(v, areas, start, full, nodes=(nodes.noise[inside], covariance, self._drifting))
-
-    def _drifting(self, e: Estimate) -> Estimate:
-        """With an interval that covers a drift: the machine may be as warm as the oil was at either end."""
-        change = abs(self.effects["drift"][0]) * e.value if "drift" in self.freed else 0.0
-        return replace(e, low=e.low - change, high=e.high + change)
-
-
-@dataclass(frozen=True)
-class Curved:
-    """A monotone cubic through at most nine nodes at measured commands, fitted to all measured areas.
-
-    The machine reads it as a table. Its areas minimise the squares of  (curve - area) / noise  and do not
-    fall. Of all measured commands those are left out whose areas the others tell best.
+    It is fitted to all measured areas.
 
     start     of the opening [V]
     command   of the nodes [V], ascending; the last one is full command
@@ -613,11 +415,6 @@ class Curved:
         """Areas [m2] as the machine has them, at commands (n,)."""
         return _cubic(self.start, self.command, np.array([e.value for e in self.areas]), command)
 
-    def point(self, k: int, widest: Estimate, name: str, note: str) -> Estimate:
-        """One of the areas relative to that of an edge at full command."""
-        e, full = self.areas[k], widest.value
-        return Estimate(name, e.value / full, "1", e.sd / full, e.low / full, e.high / full, note)
-
 
 def _cubic(start: float, nodes: Array, areas: Array, command: Array) -> Array:
     """As in the machine: a monotone cubic, zero up to the start, constant above the last node.
@@ -629,47 +426,54 @@ def _cubic(start: float, nodes: Array, areas: Array, command: Array) -> Array:
     return np.asarray(np.where(command <= start, 0.0, cubic(np.clip(command, before, nodes[-1]))))
 
 
-def _kept(start: float, command: Array, area: Array, sd: Array, most: int) -> list[int]:
+def _kept(start: float, command: Array, area: Array, noise: Array, most: int) -> list[int]:
     """Indices of at most so many nodes: one by one that is left out which costs the least chi-square."""
     kept = [*range(area.size)]
     while len(kept) > most:
         fewer = [kept[:k] + kept[k + 1 :] for k in range(len(kept) - 1)]
-        off = [((_cubic(start, command[n], area[n], command) - area) / sd) ** 2 for n in fewer]
+        off = [((_cubic(start, command[n], area[n], command) - area) / noise) ** 2 for n in fewer]
         kept = fewer[int(np.argmin(np.sum(off, axis=1)))]
     return kept
 
 
-def _fitted_nodes(start: float, command: Array, area: Array, sd: Array, chosen: Sequence[int]) -> Any:
-    """Rises of the curve from node to node over the last area, by least squares; none is negative."""
-    nodes, size = command[list(chosen)], area[-1]
-    first = np.maximum(np.diff(area[list(chosen)], prepend=0.0), 0.0) / size
-
-    def off(rises: Array) -> Array:
-        return np.asarray((_cubic(start, nodes, np.cumsum(rises) * size, command) - area) / sd)
-
-    return optimize.least_squares(off, first + SMALLEST, bounds=(0.0, np.inf), x_scale="jac")
-
-
 @dataclass(frozen=True)
 class Opening:
-    """Opening of an edge where a flow was measured, and the curve that the machine reads.
+    """Areas of an edge where a flow was measured: free ones, or those of a straight line.
 
-    command   [V], shape (m,), ascending
-    areas     at these [m2], with pointwise 95 % intervals
-    start     of the opening [V]
+    command      [V], shape (m,), ascending
+    area         at these [m2], with their covariance, and the noise that they do not have in common
+    start        of the opening [V]
+    zero         command at which the line, or that through the lowest two areas, is zero [V]; its sd
     full_command   [V]
-    rounding  of its start [V], if that is not the known one
-    line      area of a straight line at a command [V]; None for free areas
-    nodes     of free areas: noise, covariance, and what widens the interval of an estimate
+    drift        relative change of the areas over the experiment: the machine may be as warm as at either end
+    line         slope, start, rounding of a straight line and their covariance; None for free areas
+    rounding     of its start [V], if that is not the known one
     """
 
     command: Array
-    areas: Sequence[Estimate]
+    area: Array
+    covariance: Array
+    noise: Array
     start: Estimate
+    zero: tuple[float, float]
     full_command: float
+    drift: float = 0.0
+    line: tuple[Array, Array] | None = None
     rounding: Estimate | None = None
-    line: Callable[[float], Estimate] | None = None
-    nodes: tuple[Array, Array, Callable[[Estimate], Estimate]] | None = None
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of the areas [m2]."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @cached_property
+    def areas(self) -> Sequence[Estimate]:
+        """The areas with pointwise 95 % intervals."""
+        return [self._estimate(*both) for both in zip(self.area, self.sd, strict=True)]
+
+    def _estimate(self, area: float, sd: float) -> Estimate:
+        e = Estimate.normal("", float(area), "m2", float(sd), "")
+        return replace(e, low=e.low - self.drift * e.value, high=e.high + self.drift * e.value)
 
     @property
     def reached(self) -> bool:
@@ -679,49 +483,238 @@ class Opening:
     @property
     def full(self) -> Estimate:
         """Area at full command [m2]."""
-        return self.line(self.full_command) if self.line and self.reached else self.curve.areas[-1]
+        on_line = self.line and self.reached
+        return self._estimate(*self.near(self.full_command)) if on_line else self.table.areas[-1]
 
     @cached_property
-    def curve(self) -> Curved:
-        """The curve through at most nine of the areas."""
-        v, area, p = self.command, np.array([e.value for e in self.areas]), 1.0
-        sd = self.nodes[0] if self.nodes else np.full(v.size, SMALLEST * area[-1])
-        chosen = _kept(self.start.value, v, area, sd, POINTS - 1 - (not self.reached))
-        found = _fitted_nodes(self.start.value, v, area, sd, chosen)
-        values, off = np.cumsum(found.x) * area[-1], found.fun * sd
-        if len(chosen) < area.size:
-            p = float(stats.chi2.sf(2 * found.cost, area.size - len(chosen)))
-        if self.nodes:
-            _, covariance, widened = self.nodes
-            by_area = np.tri(len(chosen)) @ np.linalg.pinv(found.jac / area[-1]) / sd
-            # what the curve cannot follow is an error, too
-            sds = np.sqrt(np.diag(by_area @ (covariance + np.diag(off**2)) @ by_area.T))
-            every = zip(values, sds, strict=True)
-            areas = [widened(Estimate.normal("", float(x), "m2", float(y), "")) for x, y in every]
-        else:
-            areas = [self.areas[k] for k in chosen]
-        nodes, worst = v[chosen], int(np.abs(off).argmax())
+    def table(self) -> Table:
+        """The curve whose squares of (curve - area) / noise are least; it does not fall."""
+        v, area, start, size = self.command, self.area, self.start.value, self.area[-1]
+        kept = _kept(start, v, area, self.noise, POINTS - 1 - (not self.reached))
+        first, nodes = np.maximum(np.diff(area[kept], prepend=0.0), 0.0) / size, v[kept]
+
+        def residual(rises: Array) -> Array:
+            return np.asarray((_cubic(start, nodes, np.cumsum(rises) * size, v) - area) / self.noise)
+
+        found: Any = optimize.least_squares(residual, first + SMALLEST, bounds=(0.0, np.inf), x_scale="jac")
+        off, freedom = found.fun * self.noise, area.size - len(kept)
+        by_area = np.tri(len(kept)) @ np.linalg.pinv(found.jac / size) / self.noise
+        # what the curve cannot follow is an error, too
+        sds = np.sqrt(np.diag(by_area @ (self.covariance + np.diag(off**2)) @ by_area.T))
+        areas = [self._estimate(*both) for both in zip(np.cumsum(found.x) * size, sds, strict=True)]
         if not self.reached:  # to full command leads the last chord of the areas; its upper end is open
-            slope = (area[-1] - area[-2]) / float(v[-1] - v[-2])
-            value = max(float(area[-1] + slope * (self.full_command - v[-1])), areas[-1].value)
-            nodes, areas = (
-                np.append(nodes, self.full_command),
-                [*areas, replace(areas[-1], value=value, high=math.inf)],
-            )
-        return Curved(self.start.value, nodes, areas, p, (float(abs(off[worst] / area[-1])), float(v[worst])))
+            slope = (size - area[-2]) / float(v[-1] - v[-2])
+            value = max(float(size + slope * (self.full_command - v[-1])), areas[-1].value)
+            nodes, areas = np.append(nodes, self.full_command), [*areas, replace(areas[-1], value=value)]
+            areas[-1] = replace(areas[-1], high=math.inf)
+        worst = int(np.abs(off).argmax())
+        p = float(stats.chi2.sf(2 * found.cost, freedom)) if freedom else 1.0
+        return Table(start, nodes, areas, p, (float(abs(off[worst] / size)), float(v[worst])))
+
+    def on_line(self, command: Array) -> tuple[Array, Array]:
+        """Areas of the straight line at commands, and their covariance."""
+        assert self.line
+        (area,), by_line = balance.evaluated(_ramp(), command[None], self.line[0])
+        return area, by_line.T @ self.line[1] @ by_line
+
+    def near(self, command: float) -> tuple[float, float]:
+        """Area and its standard deviation at a command; below the lowest free area nothing is known."""
+        if self.line:
+            (area,), ((variance,),) = self.on_line(np.array([command]))
+            return float(area), math.sqrt(variance)
+        area, sd = (float(np.interp(command, self.command, x, left=0.0)) for x in (self.area, self.sd))
+        return area, sd
 
     def at(self, command: float) -> Estimate | None:
         """Area where it is known: between the measured commands for a line, else at these."""
         k = int(np.argmin(np.abs(self.command - command)))
         if abs(self.command[k] - command) <= SAME * self.command[-1]:
             return self.areas[k]
-        return self.line(command) if self.line and self.command[0] < command < self.command[-1] else None
+        inside = self.line and self.command[0] < command < self.command[-1]
+        return self._estimate(*self.near(command)) if inside else None
 
     def drawn(self, command: Array) -> Array:
         """Areas [m2] as the machine has them, at commands (n,)."""
-        if self.line:
-            return np.array([self.line(float(v)).value for v in command])
-        return self.curve.drawn(command)
+        return self.on_line(command)[0] if self.line else self.table.drawn(command)
+
+    def falling(self) -> tuple[float, float]:
+        """Probability that a rising opening falls as much between any two nodes; largest fall in parts."""
+        first, second = np.triu_indices(self.area.size, 1)
+        fall, variance = self.area[first] - self.area[second], np.diag(self.covariance)
+        sd = np.sqrt(variance[first] + variance[second] - 2 * self.covariance[first, second])
+        p = min(1.0, fall.size * float(stats.norm.sf(np.max(fall / sd))))
+        return p, float(np.max(1 - self.area / np.maximum.accumulate(self.area)))
+
+
+def free_opening(
+    steps: ValveSteps, c: Known, solution: Solution, command: Array, names: list[str]
+) -> Opening:
+    """The opening with free areas, unknowns of a fit.
+
+    It begins where the power (V - V_0)^n through the lowest three areas does: anywhere below the first area,
+    but not before the last command but one that has no flow.
+    """
+    fitted, inside = solution.fit, command < c.full_command * (1 + SAME)
+    rows, v = [fitted.names.index(n) for n in np.array(names)[inside]], command[inside]
+    area, covariance = fitted.values[rows], fitted.covariance[np.ix_(rows, rows)]
+    scatter = max(1.0, fitted.times_noise) if fitted.misfit else 1.0
+    noise = scatter / np.array([np.linalg.norm(solution.column(fitted.names[k])) for k in rows])
+    n = np.linspace(*EXPONENTS)
+    roots = area[:3, None] ** (1 / n)
+    slope = np.diff(roots, axis=0) / np.diff(v[:3])[:, None]
+    k = int(np.argmin(np.abs(slope[1] / slope[0] - 1)))
+    # a meter in its dead zone does not tell that the edge is closed
+    shut = np.unique(np.round(steps.command[steps.closed & ~steps.dead & (steps.command < v[0])], 2))
+    low = float(shut[-2]) if len(shut) > 1 else 0.0
+    value = min(max(float(v[0] - roots[0, k] / slope[0, k]), low), float(v[0]) - SHARP)
+    start = Estimate("", value, "V", float(v[0] - low) / 12**0.5, low, float(v[0]), "")
+    length = (v[1] - v[0]) / (area[1] - area[0])
+    sd = length * np.hypot(math.sqrt(covariance[0, 0]), math.sqrt(covariance[1, 1]) * area[0] / area[1])
+    zero = float(v[0] - area[0] * length), float(sd)
+    return Opening(v, area, covariance, noise, start, zero, c.full_command, _drift(solution))
+
+
+def straight_opening(
+    steps: ValveSteps, c: Known, solution: Solution, label: str, rounding: Estimate, note: str = ""
+) -> Opening:
+    """The opening on a line; its dead band holds each rounding that the data allow.
+
+    note   if the rounding is the known one, and the data do not tell it
+    """
+    fitted, names = solution.fit, [f"{n}{label}" for n in LINE]
+    told = "rounding" in fitted.names  # an unknown of the fit, else it is independent
+    rows = [fitted.names.index(n) for n in (*names, *(["rounding"] * told))]
+    covariance, by_line = np.zeros((3, 3)), np.array([0.0, 1.0, -0.5])
+    covariance[: len(rows), : len(rows)] = fitted.covariance[np.ix_(rows, rows)]
+    half = FACTOR * math.sqrt(by_line @ covariance @ by_line)
+    if not told:
+        covariance[2, 2] = rounding.sd**2
+    w, (slope, zero) = rounding.value, (fitted[n] for n in names)
+    shortest, longest = (w, w) if told else (rounding.low, rounding.high)
+    ends = (max(x, 0.0) for x in (zero - w / 2, zero - longest / 2 - half, zero - shortest / 2 + half))
+    middle, low, high = ends
+    start = Estimate("", middle, "V", math.sqrt(by_line @ covariance @ by_line), low, high, note)
+    command = np.array([s.command.mean() for s in steps.grouped(c)])
+    command, nothing = command[command < c.full_command * (1 + SAME)], np.empty(0)
+    opening = Opening(
+        *(command, nothing, nothing, nothing, start, (zero, fitted.sd(names[1])), c.full_command),
+        drift=_drift(solution),
+        line=(np.array([slope, zero, w]), covariance),
+        rounding=None if note else rounding,
+    )
+    area, of_areas = opening.on_line(command)
+    return replace(opening, area=area, covariance=of_areas, noise=np.full(area.size, SMALLEST * area[-1]))
+
+
+def _drift(solution: Solution) -> float:
+    """Relative change of the areas over the experiment, if that is estimated."""
+    return abs(solution.fit["drift"]) if "drift" in solution.fit.names else 0.0
+
+
+# ---- fits --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Openings:
+    """Openings of one form, free areas or straight lines, by edge; one of all edges has the label "".
+
+    cost   chi-square of the best rounding, with the zeros
+    """
+
+    solution: Solution
+    cost: float
+    of: Mapping[str, Opening]
+
+
+@dataclass(frozen=True)
+class ValveFit:
+    """Fits of the steps of all edges: free areas, and straight lines.
+
+    nodes      free areas of each edge
+    pooled     free areas of all edges together; None if there is no fit, as the following
+    lines      a straight line for each edge
+    line       one line for all edges
+    scatter    residuals over the noise that steps with one command have, 1 unless it is significantly more
+    effects    lag [V] and drift [1], and their standard deviations
+    freed      those of them that are estimated with the openings
+    """
+
+    steps: ValveSteps
+    known: Known
+    limits: Mapping[str, float]
+    nodes: Openings
+    pooled: Openings | None
+    lines: Openings | None
+    line: Openings | None
+    scatter: float
+    effects: Mapping[str, tuple[float, float]]
+    freed: tuple[str, ...]
+
+    def _chance(self, fewer: Openings | None, more: Openings) -> float:
+        """Probability of a chi-square that is larger by as much for fewer unknowns; 0 if they have no fit."""
+        if not fewer:
+            return 0.0
+        terms = fewer.solution.fit.freedom - more.solution.fit.freedom
+        return float(stats.chi2.sf(max(fewer.cost - more.cost, 0.0) / self.scatter**2, max(terms, 1)))
+
+    @cached_property
+    def p(self) -> float:
+        """Probability that all openings are straight lines, by chi-square against the free areas."""
+        return self._chance(self.lines, self.nodes)
+
+    @property
+    def straight(self) -> Openings | None:
+        """A straight line for each edge, if that suffices."""
+        return self.lines if self.p >= UNLIKELY else None
+
+    @property
+    def each(self) -> Openings:
+        """Those of each edge: straight lines, or free areas."""
+        return self.straight or self.nodes
+
+    @cached_property
+    def equal(self) -> float:
+        """Probability that equal edges differ as much."""
+        return self._chance(self.line if self.straight else self.pooled, self.each)
+
+    @cached_property
+    def common(self) -> Opening | None:
+        """One straight line for all edges, if that suffices; the machine has none that begins below zero."""
+        if not (self.straight and self.line and self.equal > UNLIKELY):
+            return None
+        zero, sd = self.line.of[""].zero
+        return self.line.of[""] if zero > -CERTAIN * sd else None
+
+    @property
+    def solution(self) -> Solution:
+        """The fit whose zeros and residuals are those of the procedure."""
+        return self.each.solution
+
+    @cached_property
+    def corrected(self) -> ValveSteps:
+        """The steps without the zero of the pressures, at the commands that they would have without a lag."""
+        lag = self.effects["lag"][0] if "lag" in self.freed else 0.0
+        command = np.maximum(self.steps.command - lag * self.steps.change / 2, 0.0)
+        zeros = np.array([[data.pressure_offset(self.solution).value], [0.0], [0.0]])
+        return replace(self.steps, means=self.steps.means - zeros, command=command)
+
+    @cached_property
+    def openings(self) -> Mapping[str, Opening]:
+        """Edge -> its opening; the same object for equal edges."""
+        together = self.common
+        if self.pooled and not self.straight and self.equal > UNLIKELY:
+            together = self.pooled.of[""]
+        return dict.fromkeys(self.nodes.of, together) if together else self.each.of
+
+    @property
+    def distinct(self) -> Mapping[str, Opening]:
+        """The openings without repetitions: of one only the name is ""."""
+        return self.openings if len(set(map(id, self.openings.values()))) > 1 else {"": self.widest}
+
+    @property
+    def widest(self) -> Opening:
+        """That of the edge that opens furthest."""
+        return max(self.openings.values(), key=lambda opening: opening.full.value)
 
 
 def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
@@ -750,7 +743,7 @@ def free_offset(solution: Solution) -> tuple[float, float]:
 
 
 def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
-    freed, each = tuple[str, ...](), steps.edges
+    freed, each, effects = tuple[str, ...](), steps.edges, dict[str, tuple[float, float]]()
 
     def solved(samples: Sequence[Samples], start: Mapping[str, float], *held: str) -> Solution:
         start = {**start, **dict.fromkeys((*EFFECTS, LEAK), 0.0)}
@@ -762,30 +755,26 @@ def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
     except Problem:  # residuals are too large without
         freed = ("lag",)
         nodes = _nodes(steps, c, solved, each)
-    effects = _effects(nodes[each[0]].solution, freed)
+    column = nodes.solution.column
+    # hysteresis and drift, with each other free
+    if tested := [n for n in EFFECTS if n not in freed and np.any(column(n))]:
+        values, covariance = nodes.solution.effects(np.array([column(n) for n in tested]))
+        pairs = zip(map(float, values), map(float, np.sqrt(np.diag(covariance))), strict=True)
+        effects = dict(zip(tested, pairs, strict=True))
     freed += tuple(n for n, (value, sd) in effects.items() if probability(value, sd) < UNLIKELY)
     if freed:
         nodes = _nodes(steps, c, solved, each)
-    fitted, pooled = nodes[each[0]].solution.fit, None
+    fitted, pooled = nodes.solution.fit, None
     effects |= {n: (fitted[n], fitted.sd(n)) for n in freed}
     with suppress(Problem):  # edges that differ much
-        pooled = nodes[each[0]] if len(each) == 1 else _nodes(steps, c, solved, ("",))[""]
+        alone = len(each) == 1
+        pooled = replace(nodes, of={"": nodes.of[each[0]]}) if alone else _nodes(steps, c, solved, ("",))
     scatter = fitted.times_noise if fitted.misfit else 1.0
     lines, line = (_lines(steps, c, solved, scatter, labels) for labels in (each, ("",)))
     return ValveFit(steps, c, limits, nodes, pooled, lines, line, scatter, effects, freed)
 
 
-def _effects(solution: Solution, freed: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Hysteresis and drift, with each other free; those that are estimated already are left out."""
-    names = [n for n in EFFECTS if n not in freed and np.any(solution.column(n))]
-    if not names:
-        return {}
-    values, covariance = solution.effects(np.array([solution.column(n) for n in names]))
-    pairs = zip(values, np.diag(covariance), strict=True)
-    return {n: (float(v), math.sqrt(s)) for n, (v, s) in zip(names, pairs, strict=True)}
-
-
-def _nodes(steps: ValveSteps, c: Known, solved: Solve, labels: Sequence[str]) -> dict[str, Nodes]:
+def _nodes(steps: ValveSteps, c: Known, solved: Solve, labels: Sequence[str]) -> Openings:
     """Free areas of each edge, or of all together for the label ""."""
     samples, start, own = list[Samples](), dict[str, float](), dict[str, tuple[Array, list[str]]]()
     for edge in labels:
@@ -797,20 +786,17 @@ def _nodes(steps: ValveSteps, c: Known, solved: Solve, labels: Sequence[str]) ->
         samples += [s.samples(c, "node", {"area": name}, slope, x) for s, name, slope, x in each]
     if (shut := steps[steps.closed]).drop.size:
         samples.append(shut.samples(c, "closed", {}))
-    solution, nodes = solved(samples, start), dict[str, Nodes]()
-    for edge, (at, names) in own.items():
-        rows = [solution.fit.names.index(n) for n in names]
-        covariance = solution.fit.covariance[np.ix_(rows, rows)]
-        scatter = max(1.0, solution.fit.times_noise) if solution.fit.misfit else 1.0
-        noise = scatter / np.array([np.linalg.norm(solution.column(n)) for n in names])
-        nodes[edge] = Nodes(at, solution.fit.values[rows], covariance, noise, solution)
-    return nodes
+    solution = solved(samples, start)
+    found = {edge: free_opening(steps.of(edge), c, solution, *nodes) for edge, nodes in own.items()}
+    return Openings(solution, solution.cost, found)
 
 
-def _lines(steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: Sequence[str]) -> Lines | None:
+def _lines(
+    steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: Sequence[str]
+) -> Openings | None:
     """A line for each edge, or one for all for the label "", with its rounding; None if there is no fit."""
     samples, start = list[Samples](), dict[str, float]()
-    read = np.isfinite(steps.flow_error + steps.drop_error) & ~steps.dead & ~steps.clipped
+    read = np.isfinite(steps.errors).all(axis=0) & ~steps.dead & ~steps.clipped
     for label in labels:
         s, names = steps[read].of(label), {n: f"{n}{label}" for n in LINE}
         samples.append(s.samples(c, "line", names))
@@ -825,6 +811,10 @@ def _lines(steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: S
             return solved(samples, {**start, "rounding": width}, *held)
         return None
 
+    def openings(solution: Solution, cost: float, width: Estimate, note: str = "") -> Openings:
+        of = {n: straight_opening(steps.of(n), c, solution, n, width, note) for n in labels}
+        return Openings(solution, cost, of)
+
     if not (sharp := at(SHARP, "rounding")):
         return None
     longest = max(2 * min(sharp.fit[f"start{label}"] for label in labels), SHARP)
@@ -838,7 +828,7 @@ def _lines(steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: S
         start |= {n: fits[float(widths[k])].fit[n] for n in start}
         free = at(float(widths[k]))
         if free and SHARP < (w := free.fit["rounding"]) < longest and (sd := free.fit.sd("rounding")) < prior:
-            return Lines(free, Estimate.normal("", w, "V", sd, "", minimum=SHARP), free.cost)
+            return openings(free, free.cost, Estimate.normal("", w, "V", sd, "", minimum=SHARP))
     allowed = cost <= cost.min() + FACTOR**2  # by the data alone
     k = int(np.argmin(np.abs(widths - known)))
     width = float(widths[k if allowed[k] else 0 if allowed[0] else cost.argmin()])
@@ -846,7 +836,9 @@ def _lines(steps: ValveSteps, c: Known, solved: Solve, scatter: float, labels: S
     fine = np.union1d(np.linspace(widths[0], widths[-1], FINE), widths)
     likely = fine[np.interp(fine, widths, np.sqrt(cost - cost.min())) <= FACTOR]  # in standard deviations
     low, high = min(float(likely[0]), width), max(float(likely[-1]), width)
-    return Lines(fits[width], Estimate("", width, "V", (high - low) / 2 / FACTOR, low, high, ""), least)
+    note = f"rounding {guess:.3g} V as known; the interval is that of any rounding" * (width == guess)
+    rounding = Estimate("", width, "V", (high - low) / 2 / FACTOR, low, high, "")
+    return openings(fits[width], least, rounding, note)
 
 
 # ---- tests of what the procedure takes for granted -----------------------------------------------------
@@ -858,12 +850,12 @@ def _findings(
     """One finding per assumption: the edge that contradicts it most, for as many edges as were tested."""
     scatters = [_scatter(r, found.known) for r in recordings]
     for every, noise in ((scatters, True), (recordings, False)):
-        found_in = data.signal_findings(every, STEP_SIGNALS, "valve")
+        found_in = data.signal_findings(every, READ, "valve")
         yield from (f for f in found_in if (f.fault == "noise") == noise)
     yield from _zeros(recordings, found)
     # the noise of these alone is tested: commands and what was known are exact
-    own = [replace(s, raw=s.raw[SCATTERED], sd=s.sd[SCATTERED]) for s in found.by_nodes.samples]
-    yield misfit("valve", replace(found.by_nodes, samples=own))
+    own = [replace(s, raw=s.raw[: len(READ)], sd=s.sd[: len(READ)]) for s in found.nodes.solution.samples]
+    yield misfit("valve", replace(found.nodes.solution, samples=own))
     lag, drift = (found.effects.get(name, (0.0, 0.0)) for name in EFFECTS)
     told = f"after a rising command the opening lags by {lag[0]:.2g} +- {lag[1]:.1g} V"
     yield Finding("hysteresis", probability(*lag), f"valve: {told}, against a falling one")
@@ -879,11 +871,11 @@ def _findings(
                 f"valve: {recording.source.name} was recorded with an oil of {density:.4g} kg/m3, not the "
                 f"machine's of {found.known.density:.4g} kg/m3; the areas are those of the recorded oil",
             )
-    falls = [(n.falling(), e) for e, n in found.nodes.items()]
+    falls = [(n.falling(), e) for e, n in found.nodes.of.items()]
     (p, fall), edge = min(falls)
     sentence = f"valve {edge}: the opening falls by {100 * fall:.2g} % while the command rises"
     yield Finding("falling opening", min(1.0, len(falls) * p), sentence)
-    starts = [test for edge in found.nodes for test in _start(edge, found)]
+    starts = [test for edge in found.nodes.of for test in _start(edge, found)]
     p, sentence = min(starts, key=lambda test: test[0])
     yield Finding("dead band", min(1.0, len(starts) * p), sentence)
     known, largest = parameters.get("boom_stick.valve_area"), found.widest.full.value
@@ -920,22 +912,15 @@ def _zeros(recordings: Sequence[Recording], found: ValveFit) -> Iterator[Finding
 
 def _start(edge: str, found: ValveFit) -> Iterator[Test]:
     """An edge that is open at zero command, or closed where its opening would give a flow."""
-    nodes, lines = found.nodes[edge], found.straight
-    if lines:
-        first, sd = lines.solution.fit[f"start{edge}"], lines.solution.fit.sd(f"start{edge}")
-    else:
-        first, sd = nodes.chord()
+    opening = found.each.of[edge]
+    first, sd = opening.zero
     yield (
         float(stats.norm.sf(-first / sd)),
         f"valve {edge}: the opening begins at {first:.2g} V: an underlapped spool, or a command with an "
         "offset. The machine has no opening at zero command",
     )
     for command, bound in sorted(zip(*found.corrected.of(edge).idle(found.known), strict=True), reverse=True):
-        # below the lowest free area nothing is known
-        area, sd = (float(np.interp(command, nodes.command, x, left=0.0)) for x in (nodes.area, nodes.sd))
-        if lines:
-            e = lines.area(edge, command)
-            area, sd = e.value, e.sd
+        area, sd = opening.near(command)
         yield (
             float(stats.norm.sf((area - bound) / sd)) if area else 1.0,
             f"valve {edge}: the flow meter reads nothing at {command:.3g} V, although the opening gives a "
@@ -969,16 +954,13 @@ def _of(opening: Opening, suffix: str, note: str) -> Iterator[Estimate]:
 
 
 def _others(found: ValveFit) -> Iterator[Estimate]:
-    """The hysteresis, where it is significant; area and start of each edge, openings of the tables."""
+    """The hysteresis, where it is significant; area and start of each edge."""
     if "lag" in found.freed:
         note = "from steps with rising and falling commands"
         yield Estimate.normal("hysteresis", found.effects["lag"][0], "V", found.effects["lag"][1], note)
     for edge, opening in found.openings.items():
-        own = found.on_line(found.straight, edge) if found.straight else opening
+        own = found.straight.of[edge] if found.straight else opening
         yield from _of(own, f"[{edge}]", f"fit of {np.count_nonzero(found.steps.of(edge).good)} steps")
-        for k, v in enumerate(opening.curve.command if not found.straight else ()):
-            note, name = "point of the table, relative to valve_area", f"opening[{edge}]({v:.3g} V)"
-            yield opening.curve.point(k, found.widest.full, name, note)
 
 
 def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estimate]:
@@ -1000,13 +982,14 @@ def _tables(found: ValveFit, parameters: Mapping[str, Number]) -> Iterator[Estim
                 yield exact(f"{name}_opening_1", 0.0, "1", note)
             continue
         source = next(e for e in (edge, other, *found.openings) if e in found.openings)
-        curve, note = found.openings[source].curve, f"edge {source}, section 4(a); relative to valve_area"
-        for i, command in enumerate((curve.start, *curve.command), 1):
+        table, note = found.openings[source].table, f"edge {source}, section 4(a); relative to valve_area"
+        for i, command in enumerate((table.start, *table.command), 1):
             yield exact(f"{name}_command_{i}", float(command), "V", note)
         yield exact(f"{name}_opening_1", 0.0, "1", note)
-        for k in range(len(curve.areas)):
-            point = curve.point(k, found.widest.full, f"{name}_opening_{k + 2}", note)
-            yield replace(point, listed=f"{name}_openings")
+        full = found.widest.full.value
+        for k, e in enumerate(table.areas, 2):
+            value, sd, low, high = (x / full for x in (e.value, e.sd, e.low, e.high))
+            yield Estimate(f"{name}_opening_{k}", value, "1", sd, low, high, note, f"{name}_openings")
 
 
 def _resistances(found: ValveFit) -> Iterator[Estimate]:
@@ -1020,8 +1003,7 @@ def _resistances(found: ValveFit) -> Iterator[Estimate]:
                 yield Estimate(name, value, "Pa.s2/m6", 2 * value * e.sd / e.value, low, high, note)
     if found.common:
         note = "zero of the straight part of the opening, extrapolated"
-        fitted = found.common.solution.fit
-        yield Estimate.normal("dead_band + rounding/2", fitted["start"], "V", fitted.sd("start"), note)
+        yield Estimate.normal("dead_band + rounding/2", found.common.zero[0], "V", found.common.zero[1], note)
 
 
 # ---- remarks and panels --------------------------------------------------------------------------------
@@ -1038,7 +1020,7 @@ def _remarks(found: ValveFit, zero: Estimate) -> Iterator[str]:
     if omissions := steps[~steps.dead & ~steps.good & ~steps.closed].omissions():
         yield f"Other steps are left out: {omissions}."
     test = f"chi-square test against the free areas, {_chance(found.p)}"
-    if lines := found.straight:
+    if found.straight:
         yield f"A straight line with a dead band suffices ({test})."
         known, opening = c.rounding.value, next(iter(found.openings.values()))
         if not opening.rounding:
@@ -1046,7 +1028,7 @@ def _remarks(found: ValveFit, zero: Estimate) -> Iterator[str]:
                 "The data determine the zero of the extrapolated straight part, not the rounding of its "
                 f"start. The dead band is this zero minus half the known rounding of {known:.3g} V."
             )
-        elif not lines.told:
+        elif "rounding" not in found.solution.fit.names:
             yield f"The opening begins as sharply as the data allow, the known rounding is {known:.3g} V."
     else:
         yield (
@@ -1054,11 +1036,11 @@ def _remarks(found: ValveFit, zero: Estimate) -> Iterator[str]:
             "valve_pa_openings and so on, which the machine reads in place of valve_dead_band."
         )
     for edge, opening in found.distinct.items() if not found.straight else ():
-        curve, (off, command) = opening.curve, opening.curve.off
-        if curve.p < UNLIKELY:
+        table, (off, command) = opening.table, opening.table.off
+        if table.p < UNLIKELY:
             yield (
-                f"{edge or 'All edges'}: no table of {len(curve.areas)} points can "
-                f"follow all measured areas (chi-square test, {_chance(curve.p)}): it is off by "
+                f"{edge or 'All edges'}: no table of {len(table.areas)} points can "
+                f"follow all measured areas (chi-square test, {_chance(table.p)}): it is off by "
                 f"{100 * off:.2g} % of the largest area at {command:.3g} V."
             )
     for edge, opening in found.openings.items():
@@ -1114,10 +1096,12 @@ def panels(found: ValveFit) -> tuple[Panel, ...]:
         gains.append(Curve(f"fit{label}", volts, gain * area, "fit", line=True))
     for edge, opening in found.openings.items():
         s = good.of(edge)
-        points.append(Curve(edge, s.command, np.abs(s.resistance), error=s.resistance_error))
+        resistance, drop_error = np.abs(s.drop) / s.flow**2, np.hypot(*s.errors[:2]) / np.abs(s.drop)
+        own = resistance * np.hypot(drop_error, 2 * s.flow_error / s.flow)  # twice, as C_R ~ 1/Q^2
+        points.append(Curve(edge, s.command, resistance, error=own))
         area = s.effective(c)
         left = (area - opening.drawn(s.command)) / area * np.abs(s.flow)
-        error = np.hypot(s.flow_error, s.flow * s.drop_error / s.drop / 2)
+        error = np.hypot(s.flow_error, s.flow * drop_error / 2)
         residuals.append(Curve(edge, s.command, left, error=error))
     return (
         Panel(COMMAND, RESISTANCE, (*points, *lines), "Resistance of each edge", log=True),

@@ -13,10 +13,8 @@ from kit.mistakes import problem, table
 from fmus.identification import results
 from fmus.identification.procedures.damping import BY_JOINT, identify, of_joint
 from fmus.identification.procedures.procedure import fit_of
-from orchestrator.data.recording import Sensor
 
 JOINTS = tuple(BY_JOINT)
-WHITE = Sensor("encoder with noise like one of 65536 counts", ENCODER.sd)
 
 
 def truth(joint):
@@ -135,18 +133,6 @@ def test_a_recording_with_the_joint_at_rest_is_left_out():
     result = identify([record, lazy], KNOWN)
     assert any("in lazy.csv the joint is at rest" in text for text in result.remarks)
     assert result.estimates[0].value == identify([record], KNOWN).estimates[0].value
-
-
-# the noise of one sample from 3000: 2 % of the interval. Of the error of a quantised encoder the signals show
-# 0.84 in the boom, 81 % of the variance of the balance, and next to nothing in the stick at rest, 6 %: the
-# residuals widen the interval by 1 / sqrt(1 - 0.81 (1 - 0.84^2) - 0.06), and 196 of them by 5 % by chance
-@pytest.mark.parametrize(("encoder", "wider", "error"), [(WHITE, 1.0, 0.08), (ENCODER, 1.2, 0.2)])
-def test_noise_that_is_not_described_is_estimated(encoder, wider, error):
-    """Without a description of the sensors the interval is that of the noise in the signals."""
-    record = recording("boom", seed=4, encoder=encoder)
-    _, told = found(record)
-    _, seen = found(replace(record, sensors={}))
-    assert seen == pytest.approx(wider * told, rel=error)
 
 
 @table(__file__, "mistakes", "change, message")

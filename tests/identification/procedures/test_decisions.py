@@ -143,7 +143,7 @@ def test_steps_within_two_thousandths_have_one_command():
     for second, voltages in ((3.01, 5), (3.04, 6)):
         edge = bench.edge("P-A", 1, steps=(1.5, 2.0, 3.0, second, 6.0, 10.0))
         found = valve.identify_openings([edge], bench.KNOWN)
-        assert found.nodes["P-A"].command.size == voltages
+        assert found.nodes.of["P-A"].command.size == voltages
 
 
 @pytest.mark.parametrize(("factor", "refused"), [(0.008, True), (0.02, False), (1.2, False), (2.0, True)])

@@ -5,11 +5,8 @@ import pytest
 from identification.procedures import bench
 from kit.mistakes import problem
 
-from fmus.components import hose
-from fmus.identification.balance import linearised, solve
 from fmus.identification.procedures import hoses
 from fmus.identification.procedures.hoses import HOSE_DYNAMICS
-from fmus.identification.procedures.procedure import law_of, window_samples
 from fmus.identification.results import named
 
 SEEDS = 24
@@ -43,50 +40,6 @@ def test_intervals_have_their_coverage(results, name, truth):
     bench.assert_coverage(truth, [bench.named(result)[name] for result in results])
 
 
-START = {"I": 1e7, "C": 1e-12, "C_R": bench.RESISTANCE, "R": 0.0, "s": 0.0, "r": 0.0}
-KNOWN = bench.LENGTH, bench.BORE, bench.DENSITY, bench.VISCOSITY
-HALF_WIDTH = hoses.PERIODS / float(hose.frequency_limit(bench.LENGTH, bench.DENSITY, 1.6e9))
-
-
-def alone(group, half_width=HALF_WIDTH, **fixed):
-    """Samples of one group, and its fit; `fixed` unknowns keep their value."""
-    law = law_of(hoses.lump, 4, hoses.UNKNOWNS, len(KNOWN))
-    samples, _ = window_samples(group, hoses.MOVING, law, half_width, KNOWN)
-    return samples, solve([samples], {**START, **fixed}, "hose", tested=fixed)
-
-
-def test_whitened_residuals_are_white():
-    """Close to the true parameters the whitened residuals have variance 1 and neighbours no correlation."""
-    solutions = [alone(group)[1] for group in bench.moving_hose(0, groups=6)]
-    for row in range(2):
-        white = np.concatenate([solution.residual[row::2] for solution in solutions])
-        # 4 standard deviations of n normal numbers' mean square and lag products; the fits take 4 of 240
-        assert np.mean(white**2) == pytest.approx(1, abs=4 * np.sqrt(2 / white.size))
-        for lag in (1, 2, 3):
-            assert np.mean(white[lag:] * white[:-lag]) == pytest.approx(0, abs=4 / np.sqrt(white.size))
-
-
-def test_noisy_regressors_do_not_bias_it_towards_zero():
-    """With a noisy meter and short windows I is right, but plain least squares is 2 % too low."""
-    wild = 8 * bench.FLOW.noise
-    extra = np.sqrt(wild**2 - bench.FLOW.noise**2)
-    errors, plain = [], []
-    for seed in range(12):
-        (group,) = bench.moving_hose(seed, groups=1)
-        noise = np.random.default_rng([seed, 99]).normal(0.0, extra, group.time.size)
-        group = bench.changed(group, {"flow_in": group["flow_in"] + noise})
-        group = bench.with_sensors(group, "flow_in", noise=wild)
-        samples, solution = alone(group, 0.03, s=0.0, r=0.0)
-        at = linearised(samples, samples.raw, np.array(list(START.values())))
-        matrix = at.by_theta[[0, 2, 3], 0].T
-        size = np.linalg.norm(matrix, axis=0)
-        plain.append(START["I"] - (np.linalg.lstsq(matrix / size, at.e[0])[0] / size)[0])
-        errors.append((solution.fit["I"] - bench.INERTANCE) / solution.fit.sd("I"))
-    # the mean of 12 standard normal errors, 4 standard deviations
-    assert abs(np.mean(errors)) < 4 / np.sqrt(12)
-    assert np.mean(plain) < bench.INERTANCE * 0.98
-
-
 def test_a_distributed_hose_does_not_bias_the_inertance():
     """A hose whose inertance sees the mean flow of its ends: I is right, and so is the position s."""
     result = HOSE_DYNAMICS.identify(bench.moving_hose(0, share=0.5), bench.KNOWN)
@@ -112,7 +65,8 @@ def test_samples_in_the_dead_zone_are_in_no_window():
     group = bench.moving_hose(0, groups=1)[0]
     flow = group["flow_out"].copy()
     flow[500:900] = 0.0
-    samples = alone(bench.changed(group, {"flow_out": flow}))[0]
+    tested = hoses.TestedHose(*(bench.HOSE[n] for n in bench.HOSE), bench.VISCOSITY, bench.KNOWN)
+    ((samples, _),) = HOSE_DYNAMICS.samples([bench.changed(group, {"flow_out": flow})], tested)
     size = samples.bump.size
     assert samples.starts.size > 100
     assert not np.any((samples.starts + size > 500) & (samples.starts < 900))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from identification.procedures.bench import assert_coverage, changed, named, recorded
+from identification.procedures.bench import assert_coverage, changed, named, recorded, with_sensors
 from identification.procedures.lumped_machine import KNOWN, PRESSURE
 from kit.mistakes import problem, table
 
@@ -86,6 +86,18 @@ def test_a_flow_that_the_laminar_law_neglects_is_reported():
 def test_a_port_at_the_end_of_its_transducer_is_left_out():
     """A port at 0 bar reads noise cut at zero, whose mean is too high: no bias from it."""
     assert_within_errors(MOTOR_LEAKAGE.identify([*recordings(3), *recordings(4, low=0.0)], KNOWN))
+
+
+def test_a_stretch_with_clipped_samples_is_left_out():
+    """A meter whose range ends within the noise of the highest flow: the mean of the rest is too small."""
+    top = (HIGH.max() - 1e6) / R_IN + HIGH.max() / R_EX
+    clipped = [
+        changed(with_sensors(r, "flow_a", high=top), {"flow_a": np.minimum(r["flow_a"], top)})
+        for r in recordings(5)
+    ]
+    result = MOTOR_LEAKAGE.identify(clipped, KNOWN)
+    assert_within_errors(result)
+    assert "13 steady stretches" in result.remarks[0]  # of 14
 
 
 def each(change, seed=1, **more):

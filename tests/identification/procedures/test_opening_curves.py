@@ -98,12 +98,8 @@ def test_a_table_follows_all_measured_areas_or_tells_how_far_it_is_off(share, fo
     true = bench.AREA * share(command)
     sd = 2e-4 * true
     areas = true + sd * np.random.default_rng(1).standard_normal(true.size)
-    each = [
-        results.Estimate.normal("", *both, "") for both in zip(areas, ["m2"] * areas.size, sd, strict=True)
-    ]
     start = results.Estimate.normal("", bench.start_of(share), "V", 0.1, "")
-    nodes = sd, np.diag(sd**2), lambda estimate: estimate
-    curve = valve.Opening(command, each, start, bench.FULL, nodes=nodes).curve
+    curve = valve.Opening(command, areas, np.diag(sd**2), sd, start, (0.0, 0.0), bench.FULL).table
     assert (curve.p > 1e-3) == follows
     # of the areas: three standard deviations of the noise, 0.06 %, and what nine points leave of the shapes
     off = np.abs(curve.drawn(command) / true - 1)
@@ -113,20 +109,6 @@ def test_a_table_follows_all_measured_areas_or_tells_how_far_it_is_off(share, fo
     # intervals cover the distance, too: of nine points at most two miss in 99 %
     at = bench.AREA * share(curve.command)
     assert sum(not e.low <= x <= e.high for e, x in zip(curve.areas, at, strict=True)) <= 2
-
-
-def test_tables_are_what_the_machine_reads():
-    """Up to ten points per edge, from zero to one, ascending, the first of them at the start."""
-    result = found(bench.FINE)
-    assert {e.listed for e in result.listed} == {
-        f"valve_{edge}_{kind}" for edge in ("pa", "at", "pb", "bt") for kind in ("commands", "openings")
-    }
-    for edge in ("pa", "at", "pb", "bt"):
-        commands, openings = table_of(result, edge)
-        assert 2 <= len(commands) == len(openings) <= 10
-        assert np.all(np.diff(commands) > 0)
-        assert np.all(np.diff(openings) >= 0)
-        assert (openings[0], openings[-1], commands[-1]) == (0.0, 1.0, 10.0)
 
 
 def shaken(share, lag=0.0, noise=1e-3, seed=4, falling_flow=1.0):
