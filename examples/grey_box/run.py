@@ -12,6 +12,7 @@ from fmus.components import chamber, spool_valve
 from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.reading import read_series, split
 from fmus.identification.refinement.refine import refine
+from fmus.identification.refinement.statistics import nrmse
 from orchestrator.base.errors import Problem
 
 CRANE = Path(__file__).with_name("crane.txt")
@@ -45,9 +46,11 @@ def main(path=CRANE, command=0, pressure=1, picture=""):
     plt.figure(figsize=(12, 4))
     plt.plot(data.time, data["pressure"] * peaks["pressure"], "k", label="recorded")
     for half, simulated in (("fit", result.training[0]), ("held out", result.held_out[0])):
-        nrmse, span = simulated.nrmse()[0], abs(simulated.run.scale[0] * peaks["pressure"])
-        doubt = ": the model does not fit, are the columns right?" * (not nrmse < 0.1)
-        print(f"{half}: RMSE {nrmse * span:.3f} in the file's numbers, NRMSE {100 * nrmse:.1f} %{doubt}")
+        relative, span = nrmse([simulated])[0], abs(simulated.run.scale[0] * peaks["pressure"])
+        doubt = ": the model does not fit, are the columns right?" * (not relative < 0.1)
+        print(
+            f"{half}: RMSE {relative * span:.3f} in the file's numbers, NRMSE {100 * relative:.1f} %{doubt}"
+        )
         plt.plot(simulated.run.time, simulated.y * peaks["pressure"], label=half)
     plt.legend()
     plt.savefig(picture or f"{data.source.stem}.png", dpi=80)

@@ -25,6 +25,7 @@ from fmus.identification.recordings.masks import autocorrelation_time, noise
 from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, delayed_inputs
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
 from fmus.identification.refinement.shooting import LARGEST_RADIUS, CondensedRun, Minimum, Shooting, linearise
+from orchestrator.base.signals import rms
 from orchestrator.base.text import join_words
 from orchestrator.data.table import Array
 
@@ -211,13 +212,21 @@ class SimulatedRun:
         """Simulation minus measurement; NaN for samples that are not compared."""
         return np.where(self.run.compared, self.y - self.run.measured, np.nan)
 
-    def nrmse(self) -> Array:
-        """Per output: root mean square error over the range of the measurement; NaN without a measurement."""
-        error = self.error
-        mean_square = np.full(error.shape[1], np.nan)
-        measured = self.run.compared.any(axis=0)
-        mean_square[measured] = np.nanmean(error[:, measured] ** 2, axis=0)
-        return np.asarray(np.sqrt(mean_square) / self.run.scale)
+
+def nrmse(simulated: Sequence[SimulatedRun]) -> Array:
+    """Per output, over all runs: root mean square error over the largest range of the measurement.
+
+    If a joint is at rest in a run, the range of its angle there is noise. NaN without a measurement, infinite
+    if a simulation failed; no values without runs.
+    """
+    relative = []
+    for k in range(simulated[0].y.shape[1] if simulated else 0):
+        runs = [s for s in simulated if s.run.compared[:, k].any()]
+        error = np.concatenate([s.error[s.run.compared[:, k], k] for s in runs] or [np.zeros(0)])
+        relative.append(
+            np.nan_to_num(rms(error), nan=np.inf) / max(s.run.scale[k] for s in runs) if runs else np.nan
+        )
+    return np.array(relative)
 
 
 def simulate(

@@ -79,7 +79,7 @@ def page(**more: object) -> dict[str, object]:
         "facts": {"search": "9 iterations"},
         "remarks": (),
     }
-    shares = (EffectShare("swinging head", 0.5, 0.4, 0.9, 0.8, 1.0, {"manipulator.swing_angle": 0.7}),)
+    shares = (EffectShare("swinging head", 0.5, 0.9, 0.8, 1.0, {"manipulator.swing_angle": 0.7}),)
     explanation = Explanation(
         shares, 0.6, 0.1, 0.05, ("manipulator.swing_angle",), ("quiet_one",), "One effect."
     )
@@ -90,12 +90,12 @@ def page(**more: object) -> dict[str, object]:
         "results": (result(),),
         "parameters": (
             {"estimate": AREA, "procedure": "hose_resistance", "prior": 4e-5, "prior_source": "assumed"}
-            | {"text": "Area of <all> edges"},
+            | {"text": "Area of all edges", "doubt": ""},
         ),
         "qualities": (quality("a.csv", (channel("flow", "m3/s", "1 sample clipped."),)),),
         "refinement": joint,
         "explanation": explanation,
         "commands": {"harvester build --parameters parameters.toml": "Build the machine:"},
     }
-    empty = {"figures": (), "findings": (), "remarks": (), "warnings": (), "prediction": None}
+    empty = {"figures": (), "worst": (), "findings": (), "remarks": (), "warnings": (), "prediction": None}
     return {**empty, **given, **more}
