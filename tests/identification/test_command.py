@@ -72,7 +72,7 @@ def here(tmp_path, monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """No figures are drawn, where only what is printed counts."""
-    monkeypatch.setattr("fmus.identification.command.write_page", lambda page, _: (page, page))
+    monkeypatch.setattr("orchestrator.results.report.Report.write", lambda _, page: (page, page))
 
 
 def found(file: str = "parameters.toml") -> dict[str, dict]:
@@ -81,10 +81,8 @@ def found(file: str = "parameters.toml") -> dict[str, dict]:
 
 
 @pytest.mark.parametrize("which", ["recordings", pytest.param("everything", marks=shards.machine)])
-def test_the_procedures_write_parameters_and_a_page(which, here, request, capsys, monkeypatch):
+def test_the_procedures_write_parameters_and_a_page(which, here, request, capsys):
     """One entry per parameter with unit, source, interval and sd; equal values in machine, page and JSON."""
-    if which == "recordings":  # the drawings take longest: tests/identification/report
-        monkeypatch.setattr("fmus.identification.report.figures.draw_procedure", lambda *_, **__: None)
     here(request.getfixturevalue(which))
     assert main(["identify", "mine", "--no-joint"]) == 0
     printed, tables = capsys.readouterr().out, found()

@@ -250,7 +250,7 @@ def _sections(page: Content) -> Iterator[Section]:
     for title, figure, caption in page["figures"]:
         yield Section(f"{title} over time", [Figure(figure, title, caption)], folded=True, only=PAGE)
     yield Section("Data quality", [_table(page["qualities"], RECORDINGS)], only=PAGE)
-    commands = [(text, Markup("<pre>{}</pre>").format(c)) for c, text in page["commands"].items()]
+    commands = [(text, Markup("<code>{}</code>").format(c)) for c, text in page["commands"].items()]
     yield Section("Next steps", [Text(lines) for lines in commands], only=PAGE)
 
 
