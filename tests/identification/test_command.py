@@ -94,7 +94,7 @@ def test_the_procedures_write_parameters_and_a_page(which, here, request, capsys
         assert name == short_name(name, nominal())
     page = Path("build/identification.html").read_text(encoding="utf-8")
     assert "simulated" in page
-    assert all(name in page for name in tables)
+    assert all(name in page.replace("<wbr>", "") for name in tables)
     told = json.loads(Path("build/identification.json").read_text(encoding="utf-8"))
     estimates = {p["estimate"]["name"]: p["estimate"]["value"] for p in told["parameters"]}
     assert estimates == {n: t["value"] for n, t in tables.items()}
