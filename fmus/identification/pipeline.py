@@ -3,7 +3,7 @@
 Each procedure uses the estimates of those before it. No file is written.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -19,6 +19,7 @@ from fmus.identification.procedures.leakage import MOTOR_LEAKAGE, SEAL_LEAKAGE
 from fmus.identification.procedures.procedure import Computed, Procedure
 from fmus.identification.procedures.valve import VALVE
 from fmus.identification.procedures.weighing import WEIGHING
+from fmus.identification.recordings.quality import hum
 from fmus.identification.recordings.reading import (
     CONDITIONS,
     MACHINE,
@@ -34,7 +35,7 @@ from fmus.identification.results import Estimate, Finding, ProcedureResult
 from fmus.machine.parts import FERIC
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import first_names
+from orchestrator.base.text import display_unit, first_names
 from orchestrator.data.recording import Recording
 
 # zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper has no others
@@ -96,6 +97,7 @@ class Identified:
     def findings(self) -> list[tuple[str, Finding]]:
         """The tests of all assumptions: procedure and finding, in the order of the procedures."""
         tests = [(r.procedure, finding) for r in self.results for finding in r.findings]
+        tests += hum_findings(self.recordings)
         return tests + [(MACHINE, f) for f in (machine.findings(self.refined) if self.refined else ())]
 
     def of_machine(self, use: str) -> list[Recording]:
@@ -201,6 +203,21 @@ def _run_joint(identified: Identified, names: Sequence[str], report: Report, act
     identified.parameters = updated(identified.parameters, machine.estimates(refined))
     identified.recordings = machine.corrected(identified.recordings, refined)
     identified.interrupted = refined.reason == INTERRUPTED
+
+
+def hum_findings(recordings: Iterable[Recording]) -> Iterator[tuple[str, Finding]]:
+    """A test of each signal but commands for a periodic disturbance: procedure and finding."""
+    found: dict[tuple[str, str], list[tuple[float, str]]] = {}
+    for r in recordings:
+        for name in (n for n in r.signals if not n.endswith("command")):
+            p, frequency, rms = hum(r, name)
+            size = f"{frequency:.3g} Hz, {display_unit(r.units[name]).ascii(rms)} rms"
+            sentence = f"{r.source.name}: {name} has a periodic disturbance of {size}: a hum of the mains?"
+            found.setdefault((r.procedure, name), []).append((p, sentence))
+    for (procedure, _), tests in found.items():
+        p, sentence = min(tests)
+        told = f"{sentence} The intervals take it for noise of independent samples"
+        yield procedure, Finding("periodic disturbance", min(1.0, len(tests) * p), told)
 
 
 def refine_together(

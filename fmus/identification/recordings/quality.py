@@ -44,6 +44,9 @@ SIGNIFICANT = 5  # standard deviations; a larger count or drift is not due to ch
 RARE = 0.05  # rows that are equal by chance with a larger probability are not judged
 HALF_ZERO = 60  # successive zeros, which noise that is mostly negative or rounds to 0 has: 0.7^60 = 5e-10
 NEIGHBOURS = 8  # samples on each side that determine the slope of a signal
+HUM_FROM, HUM_PARTS = 20.0, 8  # Hz, above the motion of a machine; parts of a recording that a hum is in
+AROUND = 12  # frequencies on each side with which that of a hum is compared
+HUM_SIZE = 0.5  # rms over noise, from which on a hum changes an interval by a tenth: sqrt(1 + 0.5^2) = 1.12
 BOW = 0.25  # periods; a remark if the drift moves time stamps farther than this off a uniform clock
 
 
@@ -269,3 +272,32 @@ def _chance(values: Array, sensor: Sensor) -> Array:
     judged = np.isfinite(values) & ~masks.at_ends(values, sensor) & (np.abs(values) > sensor.dead_zone)
     result[judged] = (at_rest * np.exp(-((change / sd) ** 2) / 4))[judged]
     return result
+
+
+def hum(recording: Recording, name: str) -> tuple[float, float, float]:
+    """A periodic disturbance, such as the hum of the mains: its p-value, frequency [Hz] and rms.
+
+    It is in all parts of a recording, in contrast to what motion excites. The power of white noise at a
+    frequency is exponential, so the least of n parts exceeds n times less than the mean with exp(-n ratio).
+    The mean is that of the frequencies around. 1 without one, also if it is small for the sensor's noise.
+    """
+    values, rate = recording.interpolated(name), 1 / period(recording.time)
+    size, sd = len(values) // HUM_PARTS, recording.sensor(name).sd or masks.noise(values)
+    frequency = np.fft.rfftfreq(size, 1 / rate) if size else np.zeros(0)
+    seen = (frequency > HUM_FROM) & (frequency < 0.98 * rate / 2)
+    if seen.sum() < 2 * AROUND or not sd > 0:
+        return 1.0, 0.0, 0.0
+    parts = np.diff(values)[: HUM_PARTS * size - 1]  # without the trend
+    parts = np.resize(parts, (HUM_PARTS, size)) * np.hanning(size)
+    power = np.abs(np.fft.rfft(parts)[:, seen]) ** 2
+    mean, near = power.mean(axis=0), np.ones(2 * AROUND + 1)
+    near[AROUND - 3 : AROUND + 4] = 0.0  # the line itself, as wide as the window makes it
+    floor = np.convolve(mean, near, "same") / np.convolve(np.ones_like(mean), near, "same")
+    ratio = power.min(axis=0) / np.maximum(floor, np.finfo(float).tiny)
+    k = int(np.argmax(ratio))
+    at = float(frequency[seen][k])
+    line = power.mean(axis=0)[max(k - 2, 0) : k + 3].sum() - 5 * floor[k]
+    # a sine of rms r has the power r^2 size sum(window^2) / 2 in its line; of differences 2 sin(pi f / rate)
+    rms = math.sqrt(max(line, 0.0) * 2 / (size * 0.375 * size)) / (2 * math.sin(math.pi * at / rate))
+    p = min(1.0, len(ratio) * math.exp(-HUM_PARTS * float(ratio[k])))
+    return (p, at, rms) if rms > HUM_SIZE * sd else (1.0, at, rms)

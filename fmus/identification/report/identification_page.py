@@ -22,7 +22,7 @@ from fmus.identification.refinement.statistics import nrmse
 from fmus.identification.report import figures, prediction
 from fmus.identification.report import report_texts as texts
 from fmus.identification.report.attribution import attribute
-from fmus.identification.results import Estimate, Finding, named
+from fmus.identification.results import Estimate, named
 from fmus.machine.parts import FERIC
 from orchestrator.base.text import TextTable, display_unit, first_names
 from orchestrator.pages.html_page import breakable, json_values, upper_first
@@ -281,6 +281,7 @@ def page_content(
     """
     refined, outside, tests = identified.refined, prediction.extrapolated(identified), identified.findings
     shown = named(finding for _, finding in tests)
+    faults = {name: dict.fromkeys(f.fault for n, f in tests if n == name and f in shown) for name, _ in tests}
     missing = [name for name, reason in identified.skipped.items() if reason == NO_RECORDING]
     explanation = None
     if comparison and refined:
@@ -291,7 +292,8 @@ def page_content(
         "kinds": list(dict.fromkeys(r.kind for r in identified.recordings)),
         "results": identified.results,
         "parameters": [
-            _parameter(e, procedure, identified, shown) for e, procedure in identified.estimates.values()
+            _parameter(e, name, _doubt(e, refined if name == MACHINE else None, faults.get(name, ())))
+            for e, name in identified.estimates.values()
         ],
         "qualities": qualities,
         "refinement": refinement(refined) if refined else None,
@@ -345,31 +347,30 @@ def _worst(
         yield result.title, figures.procedure_figures(result, kinds)[0], ""
 
 
-def _doubt(estimate: Estimate, procedure: str, identified: Identified, shown: Sequence[Finding]) -> str:
-    """Why an estimate is doubtful; empty if nothing speaks against it."""
-    refined = identified.refined if procedure == MACHINE else None
+def _doubt(estimate: Estimate, refined: RefinementResult | None, faults: Iterable[str]) -> str:
+    """Why an estimate is doubtful; empty if nothing speaks against it.
+
+    refined   the joint refinement, if it found the estimate
+    faults    what tests of its procedure have found
+    """
     open_end = math.isinf(estimate.low) or math.isinf(estimate.high)
     wide = estimate.high - estimate.low > 2 * WIDE * abs(estimate.value)
-    faults = [f.fault for name, f in identified.findings if name == procedure and f in shown]
     reasons = {
         "at a bound": refined is not None and estimate.name in refined.at_bound,
         "the search did not converge": refined is not None and not refined.converged,
         "the data leave it open": open_end,
         "wide interval": wide and not open_end,
-        f"a test contradicts: {first_names(faults, 2)}": bool(faults),
+        **{f"a test contradicts: {fault}": True for fault in faults},
     }
     return "; ".join(reason for reason, holds in reasons.items() if holds)
 
 
-def _parameter(
-    estimate: Estimate, procedure: str, identified: Identified, shown: Sequence[Finding]
-) -> dict[str, Any]:
+def _parameter(estimate: Estimate, procedure: str, doubt: str) -> dict[str, Any]:
     """An estimate with its procedure, why it is doubtful, and the value that the parameter files have."""
     known = lookup(estimate.name, nominal())
     name = estimate.name.rpartition(".")[2]
     text = next(q[name].text for s in FERIC.subsystems.values() if name in (q := quantities(s.parameters)))
     before = {"prior": known.value, "prior_source": known.source}
-    doubt = _doubt(estimate, procedure, identified, shown)
     return {"estimate": estimate, "procedure": procedure, "doubt": doubt, **before, "text": text}
 
 
