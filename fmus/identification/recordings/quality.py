@@ -23,7 +23,7 @@ from fmus.identification.recordings.clock import (
 )
 from fmus.identification.recordings.reading import MACHINE
 from orchestrator.base.text import display_unit
-from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
+from orchestrator.data.recording import Mask, Recording, true_intervals
 from orchestrator.data.table import Array
 
 # SI unit -> plausible range of the largest magnitude in a recording
@@ -43,7 +43,6 @@ CLOSE = 0.5  # periods; time stamps closer than this belong to one sample that w
 SIGNIFICANT = 5  # standard deviations; a larger count or drift is not due to chance
 RARE = 0.05  # rows that are equal by chance with a larger probability are not judged
 HALF_ZERO = 60  # successive zeros, which noise that is mostly negative or rounds to 0 has: 0.7^60 = 5e-10
-NEIGHBOURS = 8  # samples on each side that determine the slope of a signal
 HUM_FROM, HUM_PARTS = 20.0, 8  # Hz, above the motion of a machine; parts of a recording that a hum is in
 AROUND = 12  # frequencies on each side with which that of a hum is compared
 HUM_SIZE = 0.5  # rms over noise, from which on a hum changes an interval by a tenth: sqrt(1 + 0.5^2) = 1.12
@@ -240,38 +239,21 @@ def _drift(time: Array, steps: NDArray[np.int64]) -> tuple[float, float, float]:
 def _repeated(recording: Recording) -> Mask:
     """Rows equal to the row before in all signals, if there are more of them than chance explains.
 
-    The probability comes from the signals with noise, outside the ends of their ranges and their dead zones.
+    The probability is that of signals at rest, outside the ends of their ranges and their dead zones.
     """
-    equal = np.ones(len(recording.time), dtype=bool)
-    equal[0] = False
-    chance = np.ones(len(recording.time))
+    equal, chance = np.append(False, np.ones(len(recording.time) - 1, bool)), np.ones(len(recording.time))
     for name, values in recording.signals.items():
+        sensor, at_rest = recording.sensor(name), masks.equal_by_chance(values, recording.sensor(name))
         equal[1:] &= (np.diff(values) == 0) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-        chance *= _chance(values, recording.sensor(name))
+        if at_rest <= masks.MAX_CHANCE:
+            judged = (
+                np.isfinite(values) & ~masks.at_ends(values, sensor) & ~masks.in_dead_zone(values, sensor)
+            )
+            chance[judged] *= at_rest
     equal &= chance < RARE
     expected = float(np.sum(chance[chance < RARE]))
     significant = np.sum(equal) > expected + SIGNIFICANT * math.sqrt(expected) + 0.5
     return equal if significant else np.zeros_like(equal)
-
-
-def _chance(values: Array, sensor: Sensor) -> Array:
-    """Probability that a sample equals the one before; 1 if it cannot be estimated.
-
-    Two samples with noise sd whose true values differ by d are equal with P exp(-d^2 / (4 sd^2)).
-    """
-    result = np.ones(len(values))
-    at_rest = masks.equal_by_chance(values, sensor)
-    if at_rest > masks.MAX_CHANCE:
-        return result
-    _, sd = masks.step_and_noise(values, sensor)
-    change = np.zeros(len(values))
-    span = 2 * NEIGHBOURS + 1
-    if len(values) > span:
-        late, early = values[span:], values[:-span]
-        change[NEIGHBOURS + 1 : -NEIGHBOURS] = np.nan_to_num((late - early) / span)
-    judged = np.isfinite(values) & ~masks.at_ends(values, sensor) & (np.abs(values) > sensor.dead_zone)
-    result[judged] = (at_rest * np.exp(-((change / sd) ** 2) / 4))[judged]
-    return result
 
 
 def hum(recording: Recording, name: str) -> tuple[float, float, float]:

@@ -142,8 +142,6 @@ FITS: Show = {
     "NRMSE, held out": lambda fit: texts.percentage(fit["test"]),
     "residual over sensor noise": lambda fit: texts.number(fit["noise"], 2),
     "lags with autocorrelation": lambda fit: texts.percentage(fit["memory"]),
-    "p if white": lambda fit: texts.probability(fit["white"]),
-    "lags correlated with an input": lambda fit: texts.percentage(fit["inputs"]),
 }
 CORRELATIONS: Show = {
     "parameter": lambda pair: _code(pair[1]),
@@ -189,7 +187,7 @@ OF_TESTS = (
 OF_FITS = (
     "NRMSE: root mean square error over the range of the measurement; held out: recordings that were not "
     "fitted, simulated from their first samples",
-    "The last four columns are those of the training residuals. If these were only noise of the sensors, the "
+    "The last two columns are those of the training residuals. If these were only noise of the sensors, the "
     "ratio would be 1, and about 1 % of the lags would be significant by chance",
 )
 OF_EFFECTS = (
@@ -392,16 +390,13 @@ def refinement(refined: RefinementResult) -> dict[str, Any]:
     train, test   NRMSE
     noise         root mean square of the training residual in standard deviations of the sensor
     memory        fraction of the lags with a significant autocorrelation, 0.01 if the residual is white
-    white         probability of this autocorrelation if the residual is white [Ljung and Box]
-    inputs        largest such fraction for the cross-correlation with an earlier input
     """
     problem, fits = refined.problem, []
     errors = {"train": nrmse(refined.training), "test": nrmse(refined.held_out)}
     for k, signal in enumerate(problem.signals):
         tests = refined.whiteness[signal]
         fit = {use: error[k] for use, error in errors.items() if len(error)}
-        fit |= {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
-        fit["inputs"] = max(tests.inputs.values(), default=math.nan)
+        fit |= {"noise": tests.rms, "memory": tests.outside}
         fits.append({"signal": signal, "test": None, **json_values(fit)})
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
     noise = "from the noise of the sensors: residuals are uncorrelated"

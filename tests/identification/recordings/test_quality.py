@@ -180,14 +180,13 @@ def test_rows_written_twice(clean):
     assert text == "The clock: 1 rows repeat the row before, first at 9.5 s."
 
 
-@table(__file__, "equal_rows", "chance, slope, planted, told")
-def test_equal_rows_are_counted_against_chance(chance, slope, planted, told):
+@table(__file__, "equal_rows", "chance, planted, told")
+def test_equal_rows_are_counted_against_chance(chance, planted, told):
     """A step over 2 root pi sd is the probability of two equal samples of a constant."""
-    sd, k = 1 / (2 * np.sqrt(np.pi) * chance), np.arange(SIZE)
-    triangle = slope * np.abs((k % 36) - 18)
-    values = np.round(np.random.default_rng(0).normal(triangle, sd))
+    sd = 1 / (2 * np.sqrt(np.pi) * chance)
+    values = np.round(np.random.default_rng(0).normal(0, sd, SIZE))
     made = recording(sensors={"x": Sensor(noise=sd, resolution=1.0)}, x=values)
-    rows = 9 + 36 * np.arange(planted) if slope else np.arange(100, SIZE, SIZE // planted)[:planted]
+    rows = np.arange(100, SIZE, SIZE // planted)[:planted]
     assert any("repeat" in text for text in remarks_on(twice(made, rows), "The clock")) == told
 
 

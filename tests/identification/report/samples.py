@@ -53,7 +53,7 @@ def result(**more: object) -> ProcedureResult:
 
 def fit(signal: str, *numbers: float | None) -> dict[str, object]:
     """Goodness of fit of a signal."""
-    names = ("train", "test", "noise", "memory", "white", "inputs")
+    names = ("train", "test", "noise", "memory")
     return {"signal": signal, **dict.fromkeys(names), **dict(zip(names, numbers, strict=False))}
 
 
@@ -74,7 +74,7 @@ def page(**more: object) -> dict[str, object]:
         "names": ("valve_area", "swing.gear_ratio", "head_mass"),
         "correlation": np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]),
         "condition": 123.4,
-        "fits": (fit("manipulator.boom_angle", 0.004, 0.0061, 3.1, 0.4, 1e-12, 0.02), fit("x", 0.01)),
+        "fits": (fit("manipulator.boom_angle", 0.004, 0.0061, 3.1, 0.4), fit("x", 0.01)),
         "unidentified": ("head_mass: the data leave it open by 80 %.",),
         "facts": {"search": "9 iterations"},
         "remarks": (),

@@ -39,7 +39,7 @@ def refined(**more) -> RefinementResult:
     labels = {"boom_angle": "manipulator.boom_angle", "boom_stick_initial_preload": PRELOAD}
     problem = EstimationProblem(HARVESTER, outputs, free, runs, labels=labels)
     covariance = np.array([[0.04, 0.01], [0.01, 0.01]])
-    quiet = Whiteness(np.nan, np.nan, {}, np.nan)
+    quiet = Whiteness(np.nan, np.nan)
     given = {
         "problem": problem,
         "z": np.log([2.0, 3.0]),
@@ -49,7 +49,7 @@ def refined(**more) -> RefinementResult:
         "unidentified": (f"{PRELOAD} and valve_area: not each",),
         "at_bound": (PRELOAD,),
         "whiteness": {
-            "manipulator.boom_angle": Whiteness(0.2, 0.01, {"u": 0.3, "v": 0.1}, 1.1),
+            "manipulator.boom_angle": Whiteness(0.01, 1.1),
             "swing_flow_a": quiet,
         },
         "training": training,
@@ -68,8 +68,8 @@ def test_a_refinement_has_the_names_of_the_report():
     # exact identity: rounding only
     assert angle["train"] == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
     assert angle["test"] == pytest.approx(0.05)
-    assert (angle["noise"], angle["memory"], angle["inputs"]) == (1.1, 0.01, 0.3)
-    assert [flow[name] for name in ("train", "test", "noise", "inputs")] == [None] * 4
+    assert (angle["noise"], angle["memory"]) == (1.1, 0.01)
+    assert [flow[name] for name in ("train", "test", "noise")] == [None] * 3
     assert found["names"] == ["valve_area", PRELOAD]
     assert found["correlation"][0, 1] == pytest.approx(0.5)
     assert found["unidentified"] == [f"{PRELOAD} and valve_area: not each."]
@@ -143,7 +143,7 @@ def test_the_lines_for_a_terminal():
 
 def test_advice_and_intervals_depend_on_the_information():
     """A scatter between nine segments is advised against; an interval over a factor 1000 is open."""
-    loud = {"manipulator.boom_angle": Whiteness(0.0, 1.0, {}, 2.0)}
+    loud = {"manipulator.boom_angle": Whiteness(1.0, 2.0)}
     for segments, count in ((9, 1), (10, 0)):
         some = Statistics(np.eye(2), np.eye(2), np.eye(2), 100, segments, 7.0)
         assert len(advice(refined(statistics=some, whiteness=loud))) == count
@@ -157,8 +157,8 @@ def test_advice_and_intervals_depend_on_the_information():
 def test_residuals_far_above_the_noise_are_a_warning():
     """The number, and the worst signals that are above their noise; a good fit has none."""
     assert warnings(refined(at_bound=(), history=(Iteration(0, 2.9, 0.1, {}),))) == []
-    many = {f"s{k}": Whiteness(0.0, 1.0, {}, 3.1 + k) for k in range(5)}
-    one = {"manipulator.boom_angle": many["s4"], "swing_flow_a": Whiteness(0.2, 0.01, {}, 1.1)}
+    many = {f"s{k}": Whiteness(1.0, 3.1 + k) for k in range(5)}
+    one = {"manipulator.boom_angle": many["s4"], "swing_flow_a": Whiteness(0.01, 1.1)}
     worst = "(s4 7.1 times, s3 6.1 times, s2 5.1 times)"
     for tests, named in ((many, worst), (one, "(manipulator.boom_angle 7.1 times)")):
         fit = refined(at_bound=(), history=(Iteration(0, 168.0, 0.1, {}),), whiteness=tests)
