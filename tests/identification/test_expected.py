@@ -12,7 +12,6 @@ from fmus.identification.procedures import valve
 from fmus.machine.parts import FERIC
 from orchestrator.data.recording import Recording
 
-
 UNITS = {n: q.unit for group in GROUPS for n, q in declared(FERIC.subsystems, group).items()} | valve.SIGNALS
 
 
