@@ -10,7 +10,10 @@ import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
+
+from PIL import Image
 
 from benchmarks import openings
 from fmus.identification.machine import lookup, nominal
@@ -93,10 +96,12 @@ def draw(found: Identified) -> None:
 
 
 def pictures(name: str, result: ProcedureResult, kinds: Sequence[str]) -> None:
-    """The figures of a procedure: NAME.png, and of further quantities NAME_2.png ..."""
-    for k, figure in enumerate(procedure_figures(result, kinds), 1):
-        number = f"_{k}" if k > 1 else ""
-        (FIGURES / f"{name}{number}.png").write_bytes(png(plotting.draw(figure)))
+    """The figures of a procedure below each other, in one file."""
+    drawn = [Image.open(BytesIO(png(plotting.draw(f)))) for f in procedure_figures(result, kinds)]
+    whole = Image.new("RGB", (max(i.width for i in drawn), sum(i.height for i in drawn)), "white")
+    for k, picture in enumerate(drawn):
+        whole.paste(picture, (0, sum(i.height for i in drawn[:k])))
+    whole.save(FIGURES / f"{name}.png")
 
 
 def opening_curve() -> None:
