@@ -203,14 +203,15 @@ def _run_joint(identified: Identified, names: Sequence[str], report: Report, act
 
 
 def hum_findings(recordings: Iterable[Recording]) -> Iterator[tuple[str, Finding]]:
-    """A test of each signal but commands for a periodic disturbance: procedure and finding."""
+    """A test of each signal but commands with a periodic disturbance large enough: procedure and finding."""
     found: dict[tuple[str, str], list[tuple[float, str]]] = {}
     for r in recordings:
         for name in (n for n in r.signals if not n.endswith("command")):
             p, frequency, rms = hum(r, name)
             size = f"{frequency:.3g} Hz, {display_unit(r.units[name]).ascii(rms)} rms"
             sentence = f"{r.source.name}: {name} has a periodic disturbance of {size}: a hum of the mains?"
-            found.setdefault((r.procedure, name), []).append((p, sentence))
+            if p < 1.0:
+                found.setdefault((r.procedure, name), []).append((p, sentence))
     for (procedure, _), tests in found.items():
         p, sentence = min(tests)
         told = f"{sentence} The intervals take it for noise of independent samples"
