@@ -213,7 +213,7 @@ def orthogonal_part(columns: Array, regressors: Array) -> Array:
 
 def explained_squares(d: Array, r: Array) -> float:
     """Sum of squares of r that the effects d (columns) explain together, c >= 0."""
-    return max(float(r @ r) - nnls(d, r)[1] ** 2, 0.0)
+    return max(float(r @ r) - float(nnls(d, r)[1]) ** 2, 0.0)
 
 
 def strength_interval(d: Array, r: Array, lags: int) -> tuple[float, float, float]:

@@ -164,21 +164,10 @@ RECORDINGS: Show = {
     "rate": lambda q: f"{texts.number(q.rate, 3)} Hz",
     "faults": lambda q: "; ".join(q.faults()) or "none",
 }
-WORDS = (
-    "parameter",
-    "95 % interval",
-    "unit",
-    "how",
-    "source before",
-    "meaning",
-    "from",
-    "doubt",
-    "procedure",
-    "what would be wrong",
-    "result",
-    "signal",
+WORDS = frozenset(  # columns of texts, which are left-aligned
+    "parameter,95 % interval,unit,how,source before,meaning,from,doubt,procedure,what would be wrong,result,"
+    "signal,and,effect,largest in,recording,experiment,use,origin,faults".split(",")
 )
-WORDS += ("and", "effect", "largest in", "recording", "experiment", "use", "origin", "faults")
 OF_TESTS = (
     "p: probability of data that contradict the assumption as much, if it holds. A fault is shown if its p "
     "is below 1 % after the correction for the number of tests [Holm 1979]: at most one of a hundred "
@@ -217,7 +206,10 @@ def _sections(page: Content) -> Iterator[Section]:
     yield Section("Values before", [_table(page["parameters"], BEFORE)], folded=True, only=PAGE)
     shown = [f for f in page["findings"] if f["named"]]
     quiet = [f for f in page["findings"] if not f["named"]]
-    tests = [_table(shown, TESTS, OF_TESTS), _folded("Tests that found no fault", quiet, TESTS, OF_TESTS)]
+    tests: list[Part] = [
+        _table(shown, TESTS, OF_TESTS),
+        _folded("Tests that found no fault", quiet, TESTS, OF_TESTS),
+    ]
     yield Section("Tests of the assumptions", tests, only=PAGE)
     for result in page["results"]:
         drawn = figures.procedure_figures(result, page["kinds"])
@@ -227,7 +219,7 @@ def _sections(page: Content) -> Iterator[Section]:
             _folded(title, rows, ESTIMATES)
             for title, rows in (("Tables of the openings", listed), ("Other estimates", result.others))
         ]
-        content = [pictures, Text(result.remarks), _table(result.estimates, ESTIMATES), *others]
+        content: list[Part] = [pictures, Text(result.remarks), _table(result.estimates, ESTIMATES), *others]
         yield Section(result.title, content, folded=True, only=PAGE)
     if joint := page["refinement"]:
         undetermined = joint["unidentified"] or ["Every chosen parameter is identified."]
@@ -240,11 +232,9 @@ def _sections(page: Content) -> Iterator[Section]:
         ]
         yield Section("Joint refinement", content, folded=True, only=PAGE)
     if found := page["explanation"]:
-        quiet = ", ".join(found.quiet)
-        below = [*OF_EFFECTS, f"Signals left out, whose residual is small: {quiet}"][: 3 + bool(quiet)]
-        yield Section(
-            "Effects in the residual", [Text([found.verdict]), _table(found.shares, EFFECTS, below)]
-        )
+        small = [f"Signals left out, whose residual is small: {', '.join(found.quiet)}"] * bool(found.quiet)
+        shares = _table(found.shares, EFFECTS, [*OF_EFFECTS, *small])
+        yield Section("Effects in the residual", [Text([found.verdict]), shares], only=PAGE)
     for title, figure, caption in page["figures"]:
         yield Section(f"{title} over time", [Figure(figure, title, caption)], folded=True, only=PAGE)
     yield Section("Data quality", [_table(page["qualities"], RECORDINGS)], only=PAGE)
