@@ -164,10 +164,8 @@ RECORDINGS: Show = {
     "rate": lambda q: f"{texts.number(q.rate, 3)} Hz",
     "faults": lambda q: "; ".join(q.faults()) or "none",
 }
-WORDS = frozenset(  # columns of texts, which are left-aligned
-    "parameter,95 % interval,unit,how,source before,meaning,from,doubt,procedure,what would be wrong,result,"
-    "signal,and,effect,largest in,recording,experiment,use,origin,faults".split(",")
-)
+NUMBERS = {"value", "before", "change", "p", "correlation", "alone", "strength", "length", "rate"}
+NUMBERS |= FITS.keys() - {"signal"}
 OF_TESTS = (
     "p: probability of data that contradict the assumption as much, if it holds. A fault is shown if its p "
     "is below 1 % after the correction for the number of tests [Holm 1979]: at most one of a hundred "
@@ -191,7 +189,7 @@ OF_EFFECTS = (
 
 def _table(rows: Iterable[Any], show: Show, below: Sequence[str] = ()) -> Table:
     cells = [[text(row) for text in show.values()] for row in rows]
-    left = [k for k, name in enumerate(show) if name in WORDS]
+    left = [k for k, name in enumerate(show) if name not in NUMBERS]
     return Table(TextTable([*show], cells, left=left), below if cells else (), only=PAGE)
 
 
