@@ -1,8 +1,8 @@
 """Figures of procedures and of a predicted recording, as in the paper's Figs. 5 to 11.
 
 Curves can be distinguished without colour: measured values are marks or a broad line, a fit is a thin dark
-line, masked values are hollow marks, and compared curves are dashed. Successive panels over the same quantity
-are one figure, a residual is the strip below its panel.
+line, and masked values are hollow marks. Successive panels over the same quantity are one figure. A residual
+is the strip below its panel.
 
 Of a predicted recording, the measurement is a solid line, the prediction a dotted one, and the strip below
 each panel shows the residual.
@@ -10,18 +10,15 @@ each panel shows the residual.
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from itertools import groupby
 from typing import Any
 
-import numpy as np
-
 from fmus.identification.report.prediction import RecordingComparison
 from fmus.identification.report.report_texts import footer, percentage
-from fmus.identification.results import Curve, Estimate, Panel, ProcedureResult
+from fmus.identification.results import Curve, Panel, ProcedureResult
 from orchestrator.base.text import display_unit, name_with_unit, typeset
 from orchestrator.pages.figures import (
-    DASHES,
     PALETTE,
     REFERENCE,
     SIMULATION,
@@ -33,11 +30,8 @@ from orchestrator.pages.figures import (
 
 # ---- procedures
 
-DRAWING_ORDER = ("masked", "measured", "compared", "corrected", "fit")  # later curves are on top
+DRAWING_ORDER = ("masked", "measured", "fit")  # later curves are on top
 MARKS = ("o", "s", "^", "D")
-DASHED = (DASHES, (0, (1.5, 1.5, 1.5, 4)), (0, (9, 3)), (0, (3, 1, 1, 1, 1, 1)))  # of compared lines
-OTHER_MARKS = ("D", "v", "s", "^")  # of compared points
-CORRECTED = (0, (6, 1.5, 1, 1.5))
 
 
 def procedure_figures(result: ProcedureResult, kinds: Iterable[str] = ()) -> list[TraceFigure]:
@@ -45,11 +39,10 @@ def procedure_figures(result: ProcedureResult, kinds: Iterable[str] = ()) -> lis
 
     kinds   of its recordings, for the line on the origin of the data
     """
-    below, tables = footer(result.figure, kinds), opening_panel(result.listed)
-    panels = (*result.panels, *([tables] if tables else ()))
+    below = footer(result.figure, kinds)
     return [
         TraceFigure(_panels(group), title=result.title, below=below, axis=_label(x_label, unit[0]))
-        for (x_label, unit), group in groupby(panels, key=lambda p: (p.x_label, p.x_unit))
+        for (x_label, unit), group in groupby(result.panels, key=lambda p: (p.x_label, p.x_unit))
     ]
 
 
@@ -99,42 +92,15 @@ def _style(curve: Curve, index: int, *, several: bool) -> dict[str, Any]:
     several   whether there are several measured curves, so that a fit has the colour of its measurement
     """
     light, dark = PALETTE.pair(index)
-    fitted = dark if several else PALETTE.pair(0)[1]
-    mark, other = (marks[index % 4] for marks in (MARKS, OTHER_MARKS))
-    compared = PALETTE.pair(index + 1)[1]
-    dashes = CORRECTED if curve.kind == "corrected" else DASHED[index % 4]
-    # of a line its colour, width and dashes; of marks the mark, colour and face
+    fitted, mark = dark if several else PALETTE.pair(0)[1], MARKS[index % len(MARKS)]
+    # of a line its colour and width; of marks the mark, colour and face
     line, marks = {
-        "measured": ((light, 2.6, "-"), (mark, light, light)),
-        "masked": ((PALETTE.grid, 7.0, "-"), (mark, PALETTE.faint, "none")),
-        "fit": ((fitted, 1.5, "-"), ("x", fitted, fitted)),
-    }.get(curve.kind, ((compared, 1.3, dashes), (other, compared, "none")))
-    if curve.line:
-        return dict(zip(("color", "linewidth", "linestyle"), line, strict=True))
-    return dict(zip(("marker", "color", "markerfacecolor"), marks, strict=True))
-
-
-def opening_panel(listed: Sequence[Estimate]) -> Panel | None:
-    """The tables of the openings with their intervals; None if there is none, as for a straight line."""
-    lists = {name: tuple(points) for name, points in groupby(listed, key=lambda e: e.listed)}
-    tables: dict[tuple[Any, ...], list[str]] = {}
-    for name, commands in lists.items():
-        stem, _, kind = name.rpartition("_")
-        if kind == "commands" and commands[-1].value > 0:
-            points = zip(commands, lists[f"{stem}_openings"], strict=True)
-            table = tuple((command.value, e.value, e.low, e.high) for command, e in points)
-            tables.setdefault(table, []).append("-".join(stem.rpartition("_")[2].upper()))
-    curves = [
-        Curve(", ".join(edges), x, y, "compared", line=True, error=np.array([y - low, up]))
-        for table, edges in tables.items()
-        for x, y, low, high in [np.array(table).T]
-        for up in [np.where(np.isfinite(high), high - y, 0.0)]  # an open end has no bar
-    ]
-    return (
-        Panel("command [V]", "opening", tuple(curves), "Tables with 95 % intervals of their points")
-        if curves
-        else None
-    )
+        "measured": ((light, 2.6), (mark, light, light)),
+        "masked": ((PALETTE.grid, 7.0), (mark, PALETTE.faint, "none")),
+        "fit": ((fitted, 1.5), ("x", fitted, fitted)),
+    }[curve.kind]
+    names = ("color", "linewidth") if curve.line else ("marker", "color", "markerfacecolor")
+    return dict(zip(names, line if curve.line else marks, strict=True))
 
 
 # ---- a predicted recording

@@ -19,8 +19,6 @@ def panel(*, title: str = "Drop", log: bool = False) -> Panel:
         Curve("measured", FLOW, drop, error=0.03 * drop),
         Curve("masked: dead zone", FLOW[:3], drop[:3], "masked"),
         Curve("eq. (1)", FLOW, drop, "fit", line=True),
-        Curve("eq. (10)", FLOW, 1.1 * drop, "compared", line=True),
-        Curve("corrected", FLOW, 0.9 * drop, "corrected", line=True),
     )
     return Panel("flow", "pressure drop", curves, title, LITRES, BAR, log)
 

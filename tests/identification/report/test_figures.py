@@ -9,10 +9,10 @@ import pytest
 from identification.report.samples import panel, residual, result
 
 from fmus.identification.report import figures, report_texts
-from fmus.identification.report.figures import joint_figure, opening_panel, procedure_figures
+from fmus.identification.report.figures import joint_figure, procedure_figures
 from fmus.identification.report.identification_page import _joints
 from fmus.identification.report.prediction import RecordingComparison, nrmse
-from fmus.identification.results import Curve, Estimate, Panel
+from fmus.identification.results import Curve, Panel
 from orchestrator.data.recording import Recording
 from orchestrator.pages import plotting
 from orchestrator.pages.figures import plot
@@ -69,34 +69,10 @@ def test_a_large_cloud_is_thinned():
     assert len(plotting.svg(plotting.draw(figure))) < plotting.SVG_LIMIT
 
 
-def test_tables_of_openings_are_drawn_with_their_intervals():
-    """Edges with the same table share a curve, with bars to the ends of the intervals; else no panel."""
-
-    def table(edge, *openings):
-        for kind, unit in (("command", "V"), ("opening", "1")):
-            for k, y in enumerate(openings, 1):
-                ends = (2.0 * k,) * 3 if unit == "V" else (y, y - 0.1, y + 0.3)
-                stem = f"valve_{edge}_{kind}"
-                yield Estimate(f"{stem}_{k}", ends[0], unit, 0.1, *ends[1:], "", f"{stem}s")
-
-    drawn_panel = opening_panel([*table("pa", 0.2, 1.0), *table("bt", 0.2, 1.0), *table("at", 0.3, 0.9)])
-    assert [curve.label for curve in drawn_panel.curves] == ["P-A, B-T", "A-T"]
-    (first, _) = drawn_panel.curves
-    ends = np.array([first.y - first.error[0], first.y + first.error[1]])
-    # exact identity: rounding only
-    assert first.x == pytest.approx([2, 4])
-    assert ends == pytest.approx(np.array([[0.1, 0.9], [0.5, 1.3]]))
-    empty = [replace(e, value=0.0) for e in table("pa", 1.0)]
-    assert opening_panel(empty) is None
-
-
 def test_curves_differ_without_colour():
-    """Each kind of curve, and each of several compared ones, differs in mark, line or filling."""
-    laws = (
-        tuple(Curve(f"law {k}", TIME, k + TIME, "compared", line=joined) for k in range(4))
-        for joined in (True, False)
-    )
-    for shown in (panel(), *(Panel("x", "y", curves) for curves in laws)):
+    """Each kind of curve, and each of several measured ones, differs in mark, line or filling."""
+    several = Panel("x", "y", tuple(Curve(f"edge {k}", TIME, k + TIME) for k in range(4)))
+    for shown in (panel(), several):
         (figure,) = drawn(shown)
         looks = {
             tuple(str(v) for key, v in line.style.items() if key != "color" and not str(v).startswith("#"))
