@@ -72,13 +72,16 @@ def report(page: Content) -> Report:
 
 def _verdict(page: Content) -> str:
     """How many parameters were found, and which of them are doubtful."""
-    count, recordings = len(page["parameters"]), len(page["qualities"])
+
+    def count(found: Sequence[Any], name: str) -> str:
+        return f"{len(found)} {name}{'s' if len(found) != 1 else ''}"
+
     doubtful = [p["estimate"].name for p in page["parameters"] if p["doubt"]]
     parts = [
-        f"{count} parameter{'s' if count != 1 else ''} with 95 % intervals",
-        f" from {recordings} recording{'s' if recordings != 1 else ''}" if recordings else "",
+        f"{count(page['parameters'], 'parameter')} with 95 % intervals",
+        f" from {count(page['qualities'], 'recording')}" if page["qualities"] else "",
         f"; doubtful: {first_names(doubtful)}" if doubtful else "",
-        f"; {len(page['warnings'])} warnings" if page["warnings"] else "",
+        f"; {count(page['warnings'], 'warning')}" if page["warnings"] else "",
     ]
     return "".join(parts)
 
@@ -117,8 +120,7 @@ ESTIMATES: Show = {
 }
 PARAMETERS: Show = {
     "parameter": lambda p: _code(p["estimate"].name),
-    "value": lambda p: f"{texts.value(p['estimate'])} {display_unit(p['estimate'].unit).name}".rstrip(),
-    "95 % interval": lambda p: texts.interval(p["estimate"]),
+    "value (95 % interval)": lambda p: texts.value_and_interval(p["estimate"]),
     "doubt": lambda p: p["doubt"],
 }
 BEFORE: Show = {

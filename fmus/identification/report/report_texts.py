@@ -27,6 +27,11 @@ def value(estimate: Estimate) -> str:
     return number(estimate.value, estimate.digits, estimate.unit)
 
 
+def value_and_interval(estimate: Estimate) -> str:
+    """The value with its unit and, in brackets, the 95 % interval."""
+    return f"{value(estimate)} {display_unit(estimate.unit).name} ({interval(estimate)})".replace("  ", " ")
+
+
 def interval(estimate: Estimate) -> str:
     """The 95 % interval in the display unit."""
     return " to ".join(_aligned(end, estimate) for end in (estimate.low, estimate.high))

@@ -8,7 +8,6 @@ import pytest
 from identification.report import samples
 from identification.report.samples import channel
 
-from fmus.identification.recordings.quality import prepared
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, MeasuredRun
 from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.refinement.shooting import Iteration
@@ -108,20 +107,6 @@ def test_speeds_are_compared_through_one_filter_and_flows_outside_the_dead_zone(
     dead = np.abs(recording["boom_stick.boom_head_flow"]) <= 1e-4
     assert 0 < dead.sum() < dead.size
     np.testing.assert_array_equal(np.isnan(residual), dead)
-
-
-def test_the_quality_of_a_recording():
-    """Name, use, kind, rate, and the remarks by signal without its name."""
-    _, found = prepared(machine())
-    assert (found.name, found.use, found.kind) == ("b.csv", "test", "simulation")
-    # exact identity: rounding only
-    assert found.rate == pytest.approx(200.0)
-    flow = next(c for c in found.channels if c.signal == "boom_stick.boom_head_flow")
-    assert flow.sensor == "turbine"
-    assert flow.dead > 0  # not a fault, so no remark
-    assert not any("dead zone" in remark for remark in flow.remarks)
-    assert not any(remark.startswith(flow.signal) for remark in flow.remarks)
-    assert found.faults() == []
 
 
 def test_the_lines_for_a_terminal():
