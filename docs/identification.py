@@ -10,7 +10,10 @@ import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
+
+from PIL import Image
 
 from benchmarks import openings
 from fmus.identification.machine import lookup, nominal
@@ -19,8 +22,14 @@ from fmus.identification.procedures import valve, weighing
 from fmus.identification.recordings.reading import MACHINE, read_folder
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation, attribute
-from fmus.identification.report.figures import draw_procedure, joint_figure
-from fmus.identification.report.prediction import WINDOW, RecordingComparison, default_values, prediction
+from fmus.identification.report.figures import joint_figure, procedure_figures
+from fmus.identification.report.prediction import (
+    WINDOW,
+    RecordingComparison,
+    default_values,
+    prediction,
+    worst,
+)
 from fmus.identification.results import Estimate, ProcedureResult
 from fmus.rig import write_all
 from orchestrator.base.text import TextTable, display_unit, typeset
@@ -82,15 +91,23 @@ def draw(found: Identified) -> None:
     kinds = [r.kind for r in found.recordings]
     for result in (r for r in found.results if r.procedure in PROCEDURES):
         number, name = PROCEDURES[result.procedure]
-        (FIGURES / f"fig{number:02d}_{name}.png").write_bytes(png(draw_procedure(result, kinds)))
+        pictures(f"fig{number:02d}_{name}", result, kinds)
         fill(f"figure {number}", "\n".join([estimates(result.estimates), "", *remarks(result, REPORT_ONLY)]))
+
+
+def pictures(name: str, result: ProcedureResult, kinds: Sequence[str]) -> None:
+    """The figures of a procedure below each other, in one file."""
+    drawn = [Image.open(BytesIO(png(plotting.draw(f)))) for f in procedure_figures(result, kinds)]
+    whole = Image.new("RGB", (max(i.width for i in drawn), sum(i.height for i in drawn)), "white")
+    for k, picture in enumerate(drawn):
+        whole.paste(picture, (0, sum(i.height for i in drawn[:k])))
+    whole.save(FIGURES / f"{name}.png")
 
 
 def opening_curve() -> None:
     """The figure of two edges with openings that are no straight lines, by equations of their own."""
     result = valve.identify(openings.recordings("asymmetric 1", seed=0), openings.KNOWN)
-    figure = draw_procedure(result, ["simulation"])
-    (FIGURES / "fig05_opening_curve.png").write_bytes(png(figure))
+    pictures("fig05_opening_curve", result, ["simulation"])
     fill("opening curve", "\n".join([estimates(result.estimates), "", *remarks(result, REPORT_ONLY)]))
 
 
@@ -162,7 +179,7 @@ def held_out(seen: RecordingComparison) -> str:
     """The worst signal of each kind in the cycle that was not used for fitting."""
     rows = [
         (KINDS[kind], f"`{name}`", report_texts.percentage(error, 3), LIMITS.get(kind, ""))
-        for kind, (name, error) in seen.worst().items()
+        for kind, (name, error) in worst(seen.nrmse()).items()
     ]
     return table(("", "worst signal", "NRMSE", "limit"), rows)
 
@@ -173,12 +190,11 @@ def effects(found: Explanation) -> str:
         (
             s.effect,
             report_texts.percentage(s.alone),
-            report_texts.percentage(s.together),
             report_texts.number(s.coefficient, 2),
         )
         for s in found.shares
     ]
-    return f"{found.verdict}\n\n" + table(("effect", "alone", "among all", "strength"), rows)
+    return f"{found.verdict}\n\n" + table(("effect", "alone", "strength"), rows)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

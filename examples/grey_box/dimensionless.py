@@ -16,6 +16,7 @@ from fmus.identification.refinement.problem import EstimationProblem, RecordingM
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording
+from orchestrator.data.table import read_columns
 
 Rates = Callable[[Any, Any, Any], Mapping[str, Scalar]]
 
@@ -108,3 +109,15 @@ def _group(title: str, names: Sequence[str] | Mapping[str, float], minimum: floa
     """A group of dimensionless variables with nominal value 1."""
     quantity = [(n, Annotated[Scalar, Quantity("1", n, minimum=minimum)]) for n in names]
     return make_dataclass(title, quantity, frozen=True)
+
+
+def series(path: Path | str, columns: Mapping[str, int | str]) -> Recording:
+    """A file of numbers without units and time, whose clock counts samples.
+
+    columns   signal -> index from 0 in a text file without names, or name of a column or variable
+    """
+    path, unnamed = Path(path), all(isinstance(column, int) for column in columns.values())
+    table = read_columns(path, {str(column) for column in columns.values()}, named=not unnamed)
+    signals = {name: table.values[str(column)] for name, column in columns.items()}
+    time = np.arange(float(len(table.rows)))
+    return Recording(time, signals, dict.fromkeys(columns, "1"), path, title=path.stem)

@@ -6,12 +6,13 @@ import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-from dimensionless import all_free, blank, dimensionless, normalised
+from dimensionless import all_free, blank, dimensionless, normalised, series
 
 from fmus.components import chamber, spool_valve
 from fmus.identification.recordings.masks import good
-from fmus.identification.recordings.reading import read_series, split
+from fmus.identification.recordings.reading import split
 from fmus.identification.refinement.refine import refine
+from fmus.identification.refinement.statistics import nrmse
 from orchestrator.base.errors import Problem
 
 CRANE = Path(__file__).with_name("crane.txt")
@@ -33,7 +34,7 @@ def rates(x, u, p):
 
 
 def main(path=CRANE, command=0, pressure=1, picture=""):
-    data = read_series(path, {"command": command, "pressure": pressure})
+    data = series(path, {"command": command, "pressure": pressure})
     bad = ~good(data, "pressure")  # gaps, and samples at an end of the sensor's range
     data, peaks = normalised(blank(data, "pressure", bad))
     model = dimensionless("grey_box", START, ["command"], STATES, rates, {"spool": "command"})
@@ -45,9 +46,9 @@ def main(path=CRANE, command=0, pressure=1, picture=""):
     plt.figure(figsize=(12, 4))
     plt.plot(data.time, data["pressure"] * peaks["pressure"], "k", label="recorded")
     for half, simulated in (("fit", result.training[0]), ("held out", result.held_out[0])):
-        nrmse, span = simulated.nrmse()[0], abs(simulated.run.scale[0] * peaks["pressure"])
-        doubt = ": the model does not fit, are the columns right?" * (not nrmse < 0.1)
-        print(f"{half}: RMSE {nrmse * span:.3f} in the file's numbers, NRMSE {100 * nrmse:.1f} %{doubt}")
+        error, span = nrmse([simulated])[0], abs(simulated.run.scale[0] * peaks["pressure"])
+        doubt = ": the model does not fit, are the columns right?" * (not error < 0.1)
+        print(f"{half}: RMSE {error * span:.3f} in the file's numbers, NRMSE {100 * error:.1f} %{doubt}")
         plt.plot(simulated.run.time, simulated.y * peaks["pressure"], label=half)
     plt.legend()
     plt.savefig(picture or f"{data.source.stem}.png", dpi=80)

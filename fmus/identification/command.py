@@ -11,8 +11,8 @@ from fmus.identification.machine import FREE
 from fmus.identification.pipeline import Identified, identify
 from fmus.identification.recordings.quality import prepared
 from fmus.identification.recordings.reading import MACHINE, doubtful, read_folder, unused_files
-from fmus.identification.report.identification_page import faults, page_content, write_page
-from fmus.identification.report.prediction import RecordingComparison, prediction
+from fmus.identification.report.identification_page import NAME, faults, page_content, report
+from fmus.identification.report.prediction import prediction
 from fmus.parameters import write
 from orchestrator.base.errors import Problem
 from orchestrator.base.progress import doing
@@ -46,18 +46,13 @@ def run(folder: Path, out: Path, page: Path, *, joint: bool = True, names: Seque
     with doing("simulating what the model predicts, and the effects that it lacks"):
         comparison = prediction(identified)
         contents = page_content(folder, out, identified, comparison, qualities, os.cpu_count() or 1)
-    if comparison:
-        _print_prediction(comparison)
-    if contents["explanation"]:
-        print(contents["explanation"].verdict)
     contradicted = [_placed(f["procedure"], f["sentence"]) for f in contents["findings"] if f["named"]]
-    outside = contents["prediction"]["extrapolated"] if comparison else ()
-    for sentence in (*(found.doubt() for found in outside), *contents["warnings"], *contradicted):
-        print(f"warning: {sentence}")
     status = DOUBTFUL if suspect or contents["warnings"] else CONTRADICTED if contradicted else 0
     contents["warnings"] = [*suspect, *contents["warnings"], *contradicted]
+    found = report(contents)
+    print(found.text())
     with doing("drawing the figures of the page"):
-        html, data = write_page(page, contents)
+        html, data = found.write(page / f"{NAME}.html")
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")
     return status
 
@@ -89,15 +84,3 @@ def _write_parameters(out: Path, identified: Identified) -> None:
     curves = len({n.listed for n in identified.listed.values()}) // 2
     tables = f" and the opening curves of {curves} edges" if curves else ""
     print(f"{out}: {count} parameters with their 95 % intervals{tables}")
-
-
-def _print_prediction(comparison: RecordingComparison) -> None:
-    """Errors of the predicted recording, and how many samples its bands hold."""
-    use = "held out" if comparison.recording.use == "test" else "used for fitting"
-    print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signals")
-    for quantity, (name, error) in comparison.worst().items():
-        print(f"  {quantity:<10}{100 * error:5.2f} %  {name}")
-    if held := comparison.held():
-        least = min(held, key=lambda name: held[name])
-        mean = sum(held.values()) / len(held)
-        print(f"  95 % bands hold {100 * mean:.0f} %, of {least} {100 * held[least]:.0f} %")

@@ -3,10 +3,9 @@
 Each procedure uses the estimates of those before it. No file is written.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from typing import NoReturn
 
 from fmus.composition import declared
@@ -19,6 +18,7 @@ from fmus.identification.procedures.leakage import MOTOR_LEAKAGE, SEAL_LEAKAGE
 from fmus.identification.procedures.procedure import Computed, Procedure
 from fmus.identification.procedures.valve import VALVE
 from fmus.identification.procedures.weighing import WEIGHING
+from fmus.identification.recordings.quality import hum
 from fmus.identification.recordings.reading import (
     CONDITIONS,
     MACHINE,
@@ -33,8 +33,8 @@ from fmus.identification.refinement.shooting import INTERRUPTED
 from fmus.identification.results import Estimate, Finding, ProcedureResult
 from fmus.machine.parts import FERIC
 from fmus.parameters import Number
-from orchestrator.base.errors import Problem
-from orchestrator.base.text import first_names
+from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.text import display_unit, first_names
 from orchestrator.data.recording import Recording
 
 # zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper has no others
@@ -43,8 +43,7 @@ PROCEDURES: Mapping[str, Procedure | Computed] = {p.name: p for p in (*_BENCHES,
 NO_RECORDING = "no recording"
 GROUPS = ("inputs", "outputs")  # of the machine's variables that can be recorded
 UNREAD: Mapping[str, tuple[str, ...]] = {"hose_dynamics": ("command",)}  # usual signals that are not needed
-# similarity above which a name is a misspelling of another; names of the machine have much in common
-SIMILAR, SIMILAR_ON_MACHINE = 0.8, 0.85
+FEW = 20  # names that are listed in a message
 DEAD_BAND = "valve_dead_band"
 
 Report = Callable[[str], None]  # prints lines about the progress
@@ -96,6 +95,7 @@ class Identified:
     def findings(self) -> list[tuple[str, Finding]]:
         """The tests of all assumptions: procedure and finding, in the order of the procedures."""
         tests = [(r.procedure, finding) for r in self.results for finding in r.findings]
+        tests += hum_findings(self.recordings)
         return tests + [(MACHINE, f) for f in (machine.findings(self.refined) if self.refined else ())]
 
     def of_machine(self, use: str) -> list[Recording]:
@@ -132,8 +132,7 @@ def identify(
         raise Problem(f"[experiment] procedure: expected one of {expected}, got {unknown[0]!r}")
     machine.check_free(names)
     signals = {name: procedure.signals for name, procedure in PROCEDURES.items()}
-    check_names(recordings, signals)  # before their units
-    check_units([r for r in recordings if r.procedure in (*PROCEDURES, MACHINE)], signals)
+    check_names([r for r in recordings if r.procedure in (*PROCEDURES, MACHINE)], signals)
     stated = [machine.with_return_line(r) if r.procedure == MACHINE else r for r in recordings]
     identified = Identified(stated, dict(parameters or nominal()))
     try:
@@ -203,6 +202,22 @@ def _run_joint(identified: Identified, names: Sequence[str], report: Report, act
     identified.interrupted = refined.reason == INTERRUPTED
 
 
+def hum_findings(recordings: Iterable[Recording]) -> Iterator[tuple[str, Finding]]:
+    """A test of each signal but commands with a periodic disturbance large enough: procedure and finding."""
+    found: dict[tuple[str, str], list[tuple[float, str]]] = {}
+    for r in recordings:
+        for name in (n for n in r.signals if not n.endswith("command")):
+            p, frequency, rms = hum(r, name)
+            size = f"{frequency:.3g} Hz, {display_unit(r.units[name]).ascii(rms)} rms"
+            sentence = f"{r.source.name}: {name} has a periodic disturbance of {size}: a hum of the mains?"
+            if p < 1.0:
+                found.setdefault((r.procedure, name), []).append((p, sentence))
+    for (procedure, _), tests in found.items():
+        p, sentence = min(tests)
+        told = f"{sentence} The intervals take it for noise of independent samples"
+        yield procedure, Finding("periodic disturbance", min(1.0, len(tests) * p), told)
+
+
 def refine_together(
     recordings: Sequence[Recording],
     parameters: Parameters,
@@ -234,60 +249,32 @@ def refine_together(
 # ---- names that no procedure reads are refused: a misspelt one would be ignored silently -----------------
 
 
-def check_names(recordings: Sequence[Recording], signals: Mapping[str, Collection[str]]) -> None:
+def check_names(recordings: Iterable[Recording], signals: Mapping[str, Mapping[str, str]]) -> None:
     """Raise Problem if a recording has a signal or a condition that its procedure does not read.
 
-    signals   procedure of a test bench -> names of the signals that it reads
+    Also if it gives a signal in a unit of another dimension.
+
+    signals   procedure of a test bench -> the signals that it reads, with their SI units
     """
-    of_machine = {name for group in GROUPS for name in declared(FERIC.subsystems, group)}
+    of_machine = {n: q.unit for group in GROUPS for n, q in declared(FERIC.subsystems, group).items()}
+    of_driving = {name for names in FERIC.inputs.values() for name in names}
     for recording in recordings:
-        procedure, source = recording.procedure, recording.source
-        conditions = CONDITIONS.get(procedure)
-        if conditions is None:
-            continue
-        read = ", ".join((*conditions, NOTE))
-        for name in recording.conditions:
-            if name not in (*conditions, NOTE):
-                _refuse(f"{source}: [experiment] {name}: {procedure}", _similar(name, conditions), read)
-        on_machine = procedure in MACHINE_SIGNALS
-        expected = of_machine if on_machine else {*signals[procedure], *UNREAD.get(procedure, ())}
-        of_driving = (
-            {name for names in FERIC.inputs.values() for name in names} if procedure == MACHINE else ()
-        )
+        procedure, source, conditions = recording.procedure, recording.source, CONDITIONS[recording.procedure]
+        for name in (n for n in recording.conditions if n not in (*conditions, NOTE)):
+            _refuse(f"{source}: [experiment] {name}", procedure, name, conditions, NOTE)
+        known = of_machine if procedure in MACHINE_SIGNALS else signals[procedure]
+        read = {*known, *UNREAD.get(procedure, ()), TEMPERATURE}
         for name in recording.signals:
-            if recording.sensor(name).delay_error and name not in of_driving:
+            if recording.sensor(name).delay_error and (procedure != MACHINE or name not in of_driving):
                 only = "only that of a command or line pressure of the machine at work can be estimated"
                 raise Problem(f"{source}: signal {name}: delay_error: {only}; `delay` states a known one")
-        if procedure == REST:  # any sensor
-            continue
-        for name in recording.signals:
-            if name not in (*expected, TEMPERATURE):
-                similar = _similar(name, expected, SIMILAR_ON_MACHINE if on_machine else SIMILAR)
-                listed = "inputs and outputs of the machine" if on_machine else ", ".join(sorted(expected))
-                _refuse(f"{source}: signal {name}: {procedure}", similar, f"{listed} and {TEMPERATURE}")
-
-
-def _refuse(unread: str, similar: str, read: str) -> NoReturn:
-    expected = f", expected {similar}" if similar else f"; it reads {read}"
-    raise Problem(f"{unread} does not read it{expected}")
-
-
-def check_units(recordings: Sequence[Recording], signals: Mapping[str, Mapping[str, str]]) -> None:
-    """Raise Problem if a recording gives a signal in a unit of another dimension than its procedure reads.
-
-    signals   procedure on a bench -> its signals with their SI units
-    """
-    declared_units = {n: q.unit for group in GROUPS for n, q in declared(FERIC.subsystems, group).items()}
-    for recording in recordings:
-        known = declared_units if recording.procedure in MACHINE_SIGNALS else signals[recording.procedure]
+            if procedure != REST and name not in read:  # at rest any sensor
+                _refuse(f"{source}: signal {name}", procedure, name, known, TEMPERATURE)
         require(recording, {name: unit for name, unit in known.items() if name in recording.signals})
 
 
-def _similar(name: str, expected: Collection[str], cutoff: float = SIMILAR) -> str:
-    """The expected name most similar to this one, in upper or lower case, with or without its part."""
-    by_last_part: dict[str, list[str]] = {}
-    for candidate in sorted(expected):
-        by_last_part.setdefault(candidate.lower().rpartition(".")[2], []).append(candidate)
-    close = get_close_matches(name.lower().rpartition(".")[2], by_last_part, 1, cutoff)
-    # several parts may have the name: prefer the one that is written in front
-    return get_close_matches(name.lower(), by_last_part[close[0]], 1, 0.0)[0] if close else ""
+def _refuse(place: str, procedure: str, name: str, read: Collection[str], other: str) -> NoReturn:
+    """A message with the names that are read, if they are few."""
+    listed = ", ".join(sorted(read)) if len(read) < FEW else "inputs and outputs of the machine"
+    similar = suggest(name.lower(), read)
+    raise Problem(f"{place}: {procedure} does not read it; it reads {listed} and {other}{similar}")

@@ -16,7 +16,7 @@ from orchestrator.data.table import Array
 CONFIDENCE = 0.95  # level of all intervals
 LEVEL = 0.01  # probability that any finding is named although no assumption is wrong
 BAR, LITRES_PER_MINUTE = ("bar", 1e5), ("L/min", 1e-3 / 60)  # display units: name, SI value of one
-CurveKind = Literal["measured", "fit", "masked", "compared", "corrected"]
+CurveKind = Literal["measured", "fit", "masked"]
 
 
 def coverage_factor(freedom: float = math.inf) -> float:

@@ -123,7 +123,7 @@ def read_columns(
     """
     file = source if isinstance(source, Location) else Location(source)
     suffix = Path(str(file)).suffix.lower()
-    if not file.members and not file.path.is_file() and not (file.is_folder and suffix == ".parquet"):
+    if not file.members and not file.path.is_file():
         raise Problem(f"{file}: no such file")
     if suffix == ".parquet":
         columns = _read_parquet(file, names)
@@ -635,23 +635,18 @@ def _number(cell: str) -> float | None:
 
 
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
-    """Columns of a Parquet file, or of a folder of them, with units from the fields. A null is a gap."""
+    """Columns of a Parquet file, with units from the fields. A null is a gap."""
     require("files", f"{file}: a Parquet file", "pyarrow")
     import pyarrow
     import pyarrow.parquet
 
     try:
-        parts = sorted(file.path.glob("*.parquet")) if file.is_folder else [file.path]
-        tables, rows, faults = [], 0, dict[str, str]()
-        for part in parts:
-            with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.members else part) as opened:
-                schema, rows = opened.schema_arrow, rows + opened.metadata.num_rows
-                selected = list(_column_indices(schema.names, names, str(file), faults))
-                check_size(file, 8 * len(selected) * rows, "columns")
-                tables.append(opened.read(columns=selected))
-        if not tables:
-            raise Problem(f"{file}: expected Parquet files in this folder, got none")
-        table = pyarrow.concat_tables(tables)
+        faults = dict[str, str]()
+        with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.members else file.path) as opened:
+            schema = opened.schema_arrow
+            selected = list(_column_indices(schema.names, names, str(file), faults))
+            check_size(file, 8 * len(selected) * opened.metadata.num_rows, "columns")
+            table = opened.read(columns=selected)
         values = dict[str, Array]()
         for name in selected:
             try:

@@ -1,22 +1,17 @@
 """Writes traces row by row: into memory, or into a file that gets its name when it is complete.
 
-While a run goes on, its rows are in NAME.partial.csv, also those of a MATLAB file, or in a folder
-NAME.partial.parquet with Parquet files that tools read as one table. `TraceFile.publish` gives a complete
-file its name in one operation. If the run fails, or if the process is killed, the partial file stays, and so
-does an earlier file NAME.
+While a run goes on, its rows are in NAME.partial.csv. A Parquet or MATLAB file is made of them at the end.
+`TraceFile.publish` gives a complete file its name in one operation. If the run fails, or if the process is
+killed, the partial file stays, and so does an earlier file NAME.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import re
-import secrets
-import shutil
 import struct
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -33,15 +28,14 @@ from orchestrator.base.files import Location, csv_header, naming
 from orchestrator.base.processes import check_room
 from orchestrator.base.units import LinearTransformation
 from orchestrator.data.matlab import read_variables
-from orchestrator.data.table import read_columns
+from orchestrator.data.table import SUFFIXES, read_columns
 from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, Units, check_suffix, read_trace
 
 Array = NDArray[np.float64]
 Points = tuple[Array, Array, NDArray[np.int64]]  # times, Real and Integer values
 ORIGIN = "harvester"  # key of the JSON text about the run in the metadata of a Parquet file
 CHUNK = 8192  # rows of a trace written at a time
-PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group: 29 MB of 110 signals
-PART_TIME = 5.0  # [s] of wall time until rows are in a partial Parquet trace: what a kill may take
+BLOCK = 1 << 24  # bytes of text that are converted or summed up at a time, without all rows in memory
 MANY = 5000  # values whose text takes Python as long as loading the library that is faster
 MAX_KEPT = 32 << 20  # bytes that are kept in memory besides a file: 190 s of 110 signals every 5 ms
 
@@ -221,7 +215,7 @@ class TraceFile(TraceSink):
     """A trace in a .csv, .parquet or .mat file, under a partial name until `publish`.
 
     path      name of the complete file
-    partial   name until then; a folder for Parquet, a .csv for MATLAB
+    partial   name until then, a CSV file
     origin    JSON text about the run, stored in Parquet and MATLAB files, see `read_origin`
     accept    called with the signals before the first row; a Problem that it raises ends the run
     """
@@ -235,10 +229,9 @@ class TraceFile(TraceSink):
             raise Problem(f"{path}: expected the name of a file, got a folder")
         if self.path.stem.endswith(".partial"):
             raise Problem(f"{path}: expected another name: NAME.partial.* is for unfinished results")
-        suffix = ".csv" if self.path.suffix.lower() == ".mat" else self.path.suffix
-        self.partial = self.path.with_name(f"{self.path.stem}.partial{suffix}")
+        self.partial = self.path.with_name(f"{self.path.stem}.partial.csv")
         self.origin = origin
-        self._format: _Csv | _Parquet | None = None
+        self._rows: _Rows | None = None
         self.accept: Callable[[RowLayout], None] = lambda _: None
 
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
@@ -246,6 +239,9 @@ class TraceFile(TraceSink):
 
         Raises Problem if the rows do not fit on the disk.
         """
+        if suffix := self._suffix.removeprefix(".csv"):
+            what, package = {".parquet": ("Parquet", "pyarrow"), ".mat": ("MATLAB", "scipy")}[suffix]
+            require("files", f"{self.path}: a {what} file", package)
         folder = next(p for p in self.path.absolute().parents if p.is_dir())
         check_room(rows, len(layout.names), folder, self.number_size)
         self.accept(layout)
@@ -254,20 +250,26 @@ class TraceFile(TraceSink):
         with naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_partial(self.partial)
-            make = FORMATS[self.path.suffix.lower()]
-            self._format = make(self.partial, layout.names, layout.units)
+            self._rows = _Rows(self.partial, layout.names)
+
+    @property
+    def _suffix(self) -> str:
+        return self.path.suffix.lower()
 
     @property
     def number_size(self) -> int:
-        """Bytes that a number takes on the disk until the file is complete, on average of a long run."""
-        return FORMATS[self.path.suffix.lower()].number_size
+        """Bytes that a number takes on the disk until the file is complete, on average of a long run.
+
+        The machine's runs have 14.4 to 15.5 characters for each, with the comma.
+        """
+        return 15 + {".csv": 0, ".parquet": 7, ".mat": 5}[self._suffix]
 
     def append(self, times: Array, values: Array) -> None:
         """Write rows; if the disk is full, the file ends with the last row that fits."""
-        assert self._format is not None
-        end = self._format.end
+        assert self._rows is not None
+        end = self._rows.end
         with naming(self.partial, f"; it has the rows up to t = {end:.6g} s" if end == end else ""):
-            self._format.append(times, values)
+            self._rows.append(times, values)
         super().append(times, values)
         if values.shape[1] * 8 * self.rows > MAX_KEPT:
             self._kept.begin(self._kept.layout)  # releases the memory
@@ -283,45 +285,101 @@ class TraceFile(TraceSink):
 
     def _read(self) -> Trace:
         self.close()
-        return read_trace(self.path if self._format is None else self.partial)
+        return read_trace(self.path if self._rows is None else self.partial)
 
     def finish(self, check: Callable[[], None] = lambda: None) -> tuple[Path, str]:
-        """Write what is left, and close; returns the file, still under another name, and its SHA-256.
+        """Close the partial file, and make the one of it; returns that, under another name, and its SHA-256.
 
         check   called now and then; an exception leaves the partial file
         """
-        assert self._format is not None
-        with naming(self.partial):
-            return self._format.finish(check, self.origin)
+        assert self._rows is not None
+        self._rows.close()
+        self._rows.check_alone()
+        if self._suffix == ".csv":
+            return self.partial, self.sha256
+        whole = self.partial.with_suffix(self._suffix)
+        try:
+            with naming(whole):
+                if self._suffix == ".parquet":
+                    self._to_parquet(whole, check)
+                else:
+                    self._to_matlab(whole)
+                return whole, _digest(whole, check)
+        except BaseException:
+            whole.unlink(missing_ok=True)
+            raise
+
+    def _to_parquet(self, whole: Path, check: Callable[[], None]) -> None:
+        """Parquet: one float64 column per signal, time first, with units in the metadata of the fields."""
+        import pyarrow as pa
+        from pyarrow import csv, parquet
+
+        names = (TIME, *self.layout.names)
+        units = {name: {"unit": unit} for name, unit in {TIME: "s", **self.layout.units}.items()}
+        fields = [pa.field(name, pa.float64(), False, units.get(name)) for name in names]
+        schema = pa.schema(fields, {ORIGIN: self.origin})
+        with parquet.ParquetWriter(whole, schema) as writer:
+            if not self.rows:
+                writer.write_table(schema.empty_table())
+                return
+            read = csv.ReadOptions(column_names=names, skip_rows_after_names=1, block_size=BLOCK)
+            numbers = csv.ConvertOptions(column_types=schema, null_values=[])
+            for batch in csv.open_csv(self.partial, read, csv.ParseOptions(newlines_in_values=True), numbers):
+                check()
+                writer.write_table(pa.Table.from_arrays(batch.columns, schema=schema))
+
+    def _to_matlab(self, whole: Path) -> None:
+        """MATLAB, version 5: `time`, and the signals as structs of components, such as `swing.swing_angle`.
+
+        The struct `units` has the same fields, with texts. The text `run` is JSON: the origin, and `names`,
+        the signals in their order -> their names in the file, which differ for what is no name in MATLAB.
+        """
+        import scipy.io
+
+        rows = read_columns(Location(self.partial), None).values if self.rows else {}
+        written, units = matlab_names(self.layout.names), dict[str, Any]({TIME: "s"})
+        content = dict[str, Any]({TIME: rows.get(TIME, np.zeros(0))})
+        for name in self.layout.names:
+            _put(content, written[name], rows.get(name, np.zeros(0)))
+        for name, unit in self.layout.units.items():
+            _put(units, written[name], unit)
+        about = json.loads(self.origin) if self.origin else {}
+        run = json.dumps({**about, "names": {name: ".".join(path) for name, path in written.items()}})
+        content |= {"units": units, "run": run}
+        try:
+            scipy.io.savemat(whole, content, long_field_names=True, do_compression=True, oned_as="column")
+        except (ValueError, OverflowError, struct.error) as error:  # more than 4 GB
+            raise Problem(f"{whole}: expected at most 4 GB in a MATLAB file: {error}") from None
 
     @property
     def sha256(self) -> str:
-        """The checksum of the partial file; empty for Parquet."""
-        return self._format.sha256 if self._format else ""
+        """The checksum of the partial file."""
+        return self._rows.sha256 if self._rows else ""
 
     def publish(self, complete: Path, others: Mapping[Path, str] | None = None) -> None:
         """Give a complete file its name, and write `others`, name -> text, at the same time."""
-        assert self._format is not None
+        assert self._rows is not None
         temporary = {file: file.with_name(f".{file.name}.{os.getpid()}") for file in others or {}}
         try:
             with naming(self.path):
                 for file, text in (others or {}).items():
                     temporary[file].write_text(text, encoding="utf-8", newline="\n")
-                self._format.check_alone()
+                self._rows.check_alone()
                 complete.replace(self.path)
                 for file, other in temporary.items():
                     other.replace(file)
                 remove_partial(self.partial)
-                self._format = None
+                self._rows = None
         finally:
-            for other in temporary.values():
+            converted = {complete} - {self.partial}
+            for other in (*temporary.values(), *converted):
                 other.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Write what is left into the partial file, and close it."""
-        if self._format is not None:
+        if self._rows is not None:
             with naming(self.partial):
-                self._format.close()
+                self._rows.close()
 
 
 def rows_text(rows: Array) -> bytes:
@@ -339,17 +397,24 @@ def by_repr(rows: Array) -> bytes:
     return "".join([",".join(map(repr, row)) + "\n" for row in rows.tolist()]).encode()
 
 
-class _Csv:
-    """CSV: each value is the shortest decimal that is read back as the same float64.
+def _digest(path: Path, check: Callable[[], None]) -> str:
+    """SHA-256 of a file; `check` is called now and then."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(BLOCK):
+            check()
+            digest.update(block)
+    return digest.hexdigest()
+
+
+class _Rows:
+    """A CSV file: each value is the shortest decimal that is read back as the same float64.
 
     end      time of the last row that is written [s]
     sha256   of the partial file
     """
 
-    number_size = 15  # the machine's runs have 14.4 to 15.5 characters, with the comma
-
-    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
-        del units
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
         self._path, self._size, self._digest, self.end = path, 0, hashlib.sha256(), float("nan")
         self._file = path.open("wb", buffering=0)
         self._identity = os.fstat(self._file.fileno()).st_ino
@@ -378,11 +443,6 @@ class _Csv:
     def sha256(self) -> str:
         return self._digest.hexdigest()
 
-    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
-        del check, origin
-        self._file.close()
-        return self._path, self.sha256
-
     def close(self) -> None:
         self._file.close()
 
@@ -391,129 +451,6 @@ class _Csv:
             raise Problem(f"{self._path}: another process has replaced or removed this file")
 
 
-class _Parquet:
-    """Parquet: one float64 column per signal, time first, with units in the metadata of the fields.
-
-    The rows go to files in a folder, so that all rows but the latest ones can be read at any time. Tools
-    ignore files in it whose names begin with an underscore, such as the mark by which a run knows its folder.
-    """
-
-    number_size = 13  # 6.6 in the parts, and as much in the whole file before they are removed
-    sha256 = ""
-
-    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
-        require("files", f"{path}: a Parquet file", "pyarrow")
-        import pyarrow as pa
-
-        self._folder, self._blocks = path, list[Array]()
-        self._parts, self._rows, self._written, self.end = 0, 0, time.monotonic(), float("nan")
-        declared = {name: {"unit": unit} for name, unit in {TIME: "s", **units}.items()}
-        fields = [pa.field(n, pa.float64(), False, declared.get(n)) for n in (TIME, *names)]
-        self._schema = pa.schema(fields)
-        path.mkdir()
-        self._mark = path / f"_{secrets.token_hex(8)}"
-        self._mark.touch()
-
-    def append(self, times: Array, values: Array) -> None:
-        if not len(times):
-            return
-        self._blocks.append(np.column_stack([times, values]))
-        self._rows += len(times)
-        if self._rows >= PART_ROWS or time.monotonic() - self._written > PART_TIME:
-            self.close()
-
-    def close(self) -> None:
-        import pyarrow.parquet as pq
-
-        if not self._rows:
-            return
-        self.check_alone()
-        unnamed = self._folder / "_part"
-        try:
-            pq.write_table(self._table(), unnamed)
-        except OSError:
-            unnamed.unlink(missing_ok=True)
-            raise
-        self._parts, self.end = self._parts + 1, float(self._blocks[-1][-1, 0])
-        unnamed.replace(self._folder / f"part-{self._parts:06}.parquet")
-        self._blocks, self._rows, self._written = [], 0, time.monotonic()
-
-    def check_alone(self) -> None:
-        if not self._mark.exists():
-            raise Problem(f"{self._folder}: another process has replaced or removed this folder")
-
-    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        self.check_alone()
-        whole, waiting = self._folder / "_whole", list[Any]()
-        try:
-            with pq.ParquetWriter(whole, self._schema.with_metadata({ORIGIN: origin})) as writer:
-                for part in range(self._parts):
-                    check()
-                    waiting.append(pq.read_table(self._folder / f"part-{part + 1:06}.parquet"))
-                    if sum(table.num_rows for table in waiting) >= PART_ROWS:
-                        writer.write_table(pa.concat_tables(waiting))
-                        waiting.clear()
-                writer.write_table(pa.concat_tables([*waiting, self._table()]))
-            digest = hashlib.sha256()
-            with whole.open("rb") as file:
-                while block := file.read(1 << 24):
-                    check()
-                    digest.update(block)
-        except BaseException:
-            whole.unlink(missing_ok=True)
-            raise
-        return whole, digest.hexdigest()
-
-    def _table(self) -> Any:
-        """The rows that are in memory."""
-        import pyarrow as pa
-
-        rows = np.concatenate([np.zeros((0, len(self._schema))), *self._blocks])
-        arrays = [pa.array(np.ascontiguousarray(column)) for column in rows.T]
-        return pa.Table.from_arrays(arrays, schema=self._schema)
-
-
-class _Mat(_Csv):
-    """MATLAB, version 5: `time`, and the signals as structs of components, such as `swing.swing_angle`.
-
-    The struct `units` has the same fields, with texts. The text `run` is JSON: the origin, and `names`, the
-    signals in their order -> their names in the file, which differ for what is no name in MATLAB.
-    """
-
-    number_size = _Csv.number_size + 5  # the rows are in a CSV file until the whole file is complete
-
-    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
-        require("files", f"{path}: a MATLAB file", "scipy")
-        super().__init__(path, names, units)
-        self._names, self._units = names, units
-
-    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
-        import scipy.io
-
-        super().finish(check, origin)
-        rows = read_columns(Location(self._path), None).values if math.isfinite(self.end) else {}
-        written, units = matlab_names(self._names), dict[str, Any]({TIME: "s"})
-        content = dict[str, Any]({TIME: rows.get(TIME, np.zeros(0))})
-        for name in self._names:
-            _put(content, written[name], rows.get(name, np.zeros(0)))
-        for name, unit in self._units.items():
-            _put(units, written[name], unit)
-        about = json.loads(origin) if origin else {}
-        run = json.dumps({**about, "names": {name: ".".join(path) for name, path in written.items()}})
-        content |= {"units": units, "run": run}
-        whole = self._path.with_suffix(".mat")
-        try:
-            scipy.io.savemat(whole, content, long_field_names=True, do_compression=True, oned_as="column")
-        except (ValueError, OverflowError, struct.error) as error:  # more than 4 GB
-            whole.unlink(missing_ok=True)
-            raise Problem(f"{whole}: expected at most 4 GB in a MATLAB file: {error}") from None
-        return whole, Location(whole).sha256
-
-
-FORMATS: Mapping[str, type[_Csv] | type[_Parquet]] = {".csv": _Csv, ".parquet": _Parquet, ".mat": _Mat}
 LONGEST_NAME = 63  # characters of a name in MATLAB
 RESERVED = (TIME, "units", "run")  # variables of a MATLAB file that are no components
 KEYWORDS = (  # of MATLAB
@@ -572,14 +509,9 @@ def read_origin(path: Path) -> str:
 
 
 def remove_partial(partial: Path) -> None:
-    """Remove the partial file or folder of an earlier run, and its metadata."""
-    partial.with_suffix(METADATA_SUFFIX).unlink(missing_ok=True)
-    if not partial.is_dir():
-        partial.unlink(missing_ok=True)
-        return
-    if foreign := [p.name for p in partial.iterdir() if not p.name.startswith(("part-", "_"))]:
-        raise Problem(f"{partial}: expected parts of a trace, which are replaced, got {foreign[0]}")
-    shutil.rmtree(partial)
+    """Remove the partial file of an earlier run, its metadata, and what was being made of it."""
+    for suffix in (METADATA_SUFFIX, *SUFFIXES):
+        partial.with_suffix(suffix).unlink(missing_ok=True)
 
 
 def write_trace(trace: Trace, path: str | Path, origin: str = "") -> Path:

@@ -286,7 +286,7 @@ class _Output:
             error.add_note(self._complete.card.text())
         elif result and not result.complete:
             file = self._file
-            if file.partial.is_file():  # CSV; Parquet contains the units
+            if file.partial.is_file():
                 with suppress(OSError, Problem):  # the disk may be full
                     text = metadata_text(result, file.sha256, self._given, file.layout)
                     write_whole(metadata_file(file.partial), text)

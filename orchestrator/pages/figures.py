@@ -1,4 +1,5 @@
-"""Figures of signals over time: what they show, their style, and their form in an HTML page.
+"""Figures of signals over time, and of curves over other quantities: what they show, their style, and their
+form in an HTML page.
 
 A page has the data of each figure and a table of its extremes. uPlot draws it on the screen, where it can be
 zoomed, and in print (`templates/plot.js`). `orchestrator.pages.plotting` draws the same figures with
@@ -114,11 +115,12 @@ def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class TraceLine:
-    """A curve: samples over time [s], in the unit of the panel.
+    """A curve: samples over time [s], or over the figure's axis, in the unit of the panel.
 
-    style   options of a matplotlib line: color, linewidth [pt], linestyle
+    style   options of a matplotlib line: color, linewidth [pt], linestyle; marker, markerfacecolor
     name    what distinguishes the curve in its panel, such as "head"; empty if there is only one
     key     entry of the figure's key that it belongs to, such as "simulation"
+    error   half the length of each error bar, or down and up, shape (2, n), of a figure with an axis
     """
 
     time: Array
@@ -126,6 +128,7 @@ class TraceLine:
     style: Style
     name: str = ""
     key: str = ""
+    error: Array | None = None
 
     @property
     def label(self) -> str:
@@ -155,6 +158,7 @@ class TracePanel:
     remarks      (text, colour) on the right of the panel
     key_beside   legend on the right of the panel, not above it; pages have it above in any case
     heights      of panel and error strip, in units of `ROW_HEIGHT`
+    log          logarithmic values, of a figure with an axis
     """
 
     unit: str
@@ -170,6 +174,7 @@ class TracePanel:
     heights: tuple[float, float] = (2.5, 1.0)
     areas: Sequence[TraceArea] = ()
     key_beside: bool = False
+    log: bool = False
 
     @property
     def heading(self) -> str:
@@ -179,11 +184,13 @@ class TracePanel:
 
 @dataclass(frozen=True)
 class TraceFigure:
-    """Panels over a common time axis.
+    """Panels over a common axis.
 
     window   first and last time [s]; default: those of the curves
     below    a short line below the figure
     key      (text, style) of what the line styles mean
+    axis     label of the axis, if it is not the time: then each curve has its own places on it, and may be
+             a cloud of marks
     """
 
     panels: Sequence[TracePanel]
@@ -191,14 +198,18 @@ class TraceFigure:
     title: str = ""
     below: str = ""
     key: Sequence[tuple[str, Style]] = ()
+    axis: str = ""
 
     @property
     def span(self) -> tuple[float, float]:
         """First and last time [s]; around a single point in time there is a margin."""
-        times = [line.time for panel in self.panels for line in panel.lines]
-        start, stop = self.window or (min(float(t[0]) for t in times), max(float(t[-1]) for t in times))
+        times = [line.time for panel in self.panels for line in panel.lines if len(line.time)]
+        start, stop = self.window or (float(min(map(np.min, times))), float(max(map(np.max, times))))
         margin = 0.1 * abs(start) or 1.0
-        return (start, stop) if start < stop else (start - margin, start + margin)
+        if start >= stop:
+            return start - margin, start + margin
+        margin = MARGIN * (stop - start) if self.axis else 0.0  # marks at the ends are whole
+        return start - margin, stop + margin
 
 
 # ---- charts: a panel is one, its error strip another
@@ -243,6 +254,8 @@ def power_of_ten(low: float, high: float) -> int:
     return 0 if -3 <= power <= 4 else power
 
 
+MARGIN = 0.02  # of an axis, beyond the outermost marks
+MARKS = 3000  # of a cloud; a larger one is thinned evenly
 SAMPLES = 2500  # of a curve; a longer one keeps the extremes of its buckets
 DIGITS = 20  # bits of a value: one part in a million of the curve's range
 
@@ -279,9 +292,13 @@ def _extremes(figure: TraceFigure) -> TextTable:
             label = " ".join(filter(None, (chart.panel.heading, chart.label if chart.strip else "")))
             cells = [label + (f": {line.label}" if line.label else ""), pretty(chart.unit) or "1"]
             for k in (int(values.argmin()), int(values.argmax())):
-                cells += [typeset(number(float(values[k]), 4)), f"{time[k]:.2f}"]
+                cells += [
+                    typeset(number(float(values[k]), 4)),
+                    number(float(time[k]), 4) if figure.axis else f"{time[k]:.2f}",
+                ]
             rows.append(cells)
-    return TextTable(["curve", "unit", "least", "at [s]", "largest", "at [s]"], rows, left=(0, 1))
+    at = f"at {figure.axis}" if figure.axis else "at [s]"
+    return TextTable(["curve", "unit", "least", at, "largest", at], rows, left=(0, 1))
 
 
 def _spec(figure: TraceFigure) -> dict[str, Any]:
@@ -293,17 +310,16 @@ def _spec(figure: TraceFigure) -> dict[str, Any]:
     charts = []
     for chart in _charts(figure):
         lines = [*chart.lines, *([] if chart.strip else _edges(chart.panel.areas))]
-        time, values = _common(lines, figure.span)
-        at = next((k for k, c in enumerate(columns) if np.array_equal(c, time)), len(columns))
-        columns += [time] if at == len(columns) else []
-        entry: dict[str, Any] = {
-            "label": chart.label,
-            "unit": pretty(chart.unit),
-            "height": chart.height,
-            "time": at,
-            "lines": [_line_spec(line, len(columns) + k, chart) for k, line in enumerate(lines)],
-        }
-        columns += values
+        entry: dict[str, Any] = {"label": chart.label, "unit": pretty(chart.unit), "height": chart.height}
+        if figure.axis:
+            entry |= _cloud(chart, columns)
+        else:
+            time, values = _common(lines, figure.span)
+            at = next((k for k, c in enumerate(columns) if np.array_equal(c, time)), len(columns))
+            columns += [time] if at == len(columns) else []
+            entry["time"] = at
+            entry["lines"] = [_line_spec(line, len(columns) + k, chart) for k, line in enumerate(lines)]
+            columns += values
         if chart.strip:
             entry |= {"strip": 1, "bounds": [float(f"{b:.6g}") for b in sorted(chart.panel.bounds)]}
             entry |= {"whole": 1} if chart.panel.whole else {}
@@ -316,8 +332,36 @@ def _spec(figure: TraceFigure) -> dict[str, Any]:
         "key": [{"label": label, **_style_spec(style)} for label, style in figure.key],
         "window": list(figure.span),
         "below": figure.below,
+        "axis": figure.axis,
         **pack(columns),
     }
+
+
+def _cloud(chart: _Chart, columns: list[Array]) -> dict[str, Any]:
+    """Curves with places of their own, whose columns are added: places, values, ends of the error bars.
+
+    Values of a logarithmic panel are logarithms to the base 10.
+    """
+    log = chart.panel.log and not chart.strip
+    lines, ends = list[dict[str, Any]](), list[Array]()
+    for line in chart.lines:
+        kept = np.arange(len(line.time))
+        if len(kept) > MARKS:
+            kept = np.linspace(0, len(kept) - 1, MARKS).astype(int)
+        shown = [line.values]
+        if line.error is not None:
+            down, up = np.broadcast_to(line.error, (2, len(line.values)))
+            shown += [line.values - down, line.values + up]
+        with np.errstate(all="ignore"):  # what has no logarithm is not drawn
+            values = [(np.log10(v) if log else v)[kept] for v in shown]
+        names = dict(zip(("x", "column", "low", "high"), range(len(columns), len(columns) + 4), strict=True))
+        spec = _line_spec(line, 0, chart) | dict(list(names.items())[: 1 + len(values)])
+        lines.append(spec)
+        columns += [line.time[kept], *values]
+        ends += values
+    finite = np.concatenate([v[np.isfinite(v)] for v in ends] or [np.zeros(0)])
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    return {"lines": lines, "low": low, "high": high, "log": int(log)}
 
 
 def _edges(areas: Iterable[TraceArea]) -> Iterator[TraceLine]:
@@ -338,6 +382,8 @@ def _style_spec(style: Style) -> dict[str, Any]:
     spec: dict[str, Any] = {"colour": _name(style["color"]), "width": round(width, 2)}
     spec |= {"dash": [round(length * width, 1) for length in _dashes(style)]} if _dashes(style) else {}
     spec |= {"alpha": style["alpha"]} if "alpha" in style else {}
+    if "marker" in style:
+        spec |= {"mark": style["marker"], "hollow": int(style.get("markerfacecolor") == "none")}
     return spec | ({"area": 1} if "area" in style else {})
 
 

@@ -123,6 +123,7 @@ def legend(parent: Figure | Axes, **options: object) -> Any:
     return parent.legend(**chosen)
 
 
+CLOUD = 1500  # marks from which on they are a bitmap inside of an SVG
 ROW_HEIGHT = 0.46  # [in] per unit of `TracePanel.heights`
 
 
@@ -136,7 +137,8 @@ def draw(shown: TraceFigure) -> Figure:
         _draw_panel(next(remaining), panel)
         if panel.errors:
             _draw_errors(next(remaining), panel)
-    axes[-1].set_xlabel("time [s]", color=PALETTE.ink)
+    axes[-1].set_xlabel(shown.axis or "time [s]", color=PALETTE.ink)
+    power_ticks(axes[-1].xaxis)
     if shown.window:
         axes[-1].set_xlim(*shown.window)
     heading(figure, shown.title, shown.below)
@@ -156,8 +158,10 @@ def _draw_panel(axes: Axes, panel: TracePanel) -> None:
     for line in panel.lines:
         label = line.name if line.name not in named else None  # a name has one entry in the legend
         named.add(line.name)
-        axes.plot(*decimate(line.time, line.values), label=label or None, **line.style)
+        _draw_line(axes, line, {**line.style, "label": label or None})
     axes.margins(y=0.12)
+    if panel.log:
+        axes.set_yscale("log")
     power_ticks(axes.yaxis)
     if panel.title:
         axes.set_title(panel.title, loc="left", fontsize=9, color=PALETTE.ink, pad=3)
@@ -171,12 +175,26 @@ def _draw_panel(axes: Axes, panel: TracePanel) -> None:
         axes.annotate(typeset(text), position, xycoords="axes fraction", **style)
 
 
+def _draw_line(axes: Axes, line: TraceLine, style: Style) -> None:
+    """A line, or marks; either may have error bars."""
+    if line.error is not None:
+        style = {"capsize": 2.5, "elinewidth": 1.1, **style, "yerr": line.error}
+    if "marker" in style:
+        style = {"linestyle": "none", "markersize": 4.5, **style, "rasterized": len(line.time) > CLOUD}
+    x, y = (
+        (line.time, line.values)
+        if line.error is not None or "marker" in style
+        else decimate(line.time, line.values)
+    )
+    (axes.plot if line.error is None else axes.errorbar)(x, y, **style)
+
+
 def _draw_errors(axes: Axes, panel: TracePanel) -> None:
     """Draw the error strip of a panel, with a separate scale."""
     style_axes(axes, y=f"{panel.error_label}\n[{pretty(panel.error_unit) or '1'}]", size=8)
     axes.axhline(0, color=PALETTE.faint, linewidth=0.8)
     for line in panel.errors:
-        axes.plot(*decimate(line.time, line.values), **{**line.style, "linewidth": 0.9})
+        _draw_line(axes, line, {**line.style, "linewidth": 0.9})
     largest = 1.2 * max(float(np.nanmax(np.abs(line.values), initial=0.0)) for line in panel.errors) or 1.0
     axes.set_ylim(-largest, largest)
     axes.locator_params(axis="y", nbins=3)

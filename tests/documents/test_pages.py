@@ -16,7 +16,7 @@ from kit import shards
 from sweep.synthetic import ISHIGAMI, ishigami, results
 from view.standin import LONG, URL, started
 
-from fmus.identification.report.identification_page import render as identification
+from fmus.identification.report.identification_page import report as identification
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
 from orchestrator.data.trace import Trace
@@ -67,7 +67,7 @@ def studied() -> str:
 def identified() -> str:
     """An identification with a figure and a warning."""
     figures = (("Swing", samples.traces(), "Measured."),)
-    return identification(samples.page(figures=figures, warnings=("At a bound.",)))
+    return identification(samples.page(figures=figures, warnings=("At a bound.",))).html()
 
 
 PAGES: dict[str, Callable[[], str]] = {

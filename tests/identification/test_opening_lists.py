@@ -66,9 +66,7 @@ def test_file_and_report_have_lists_with_their_intervals(identified):
     openings = [e for e in told["results"][0]["listed"] if e["unit"] == "1" and e["sd"]]
     assert len(openings) >= 12
     assert all(e["low"] < e["value"] < e["high"] for e in openings)
-    assert "Tables with 95 % intervals of their points" in (out.parent / "identification.html").read_text(
-        encoding="utf-8"
-    )
+    assert "Tables of the openings" in (out.parent / "identification.html").read_text(encoding="utf-8")
 
 
 def test_a_straight_line_empties_the_tables_of_before():

@@ -154,11 +154,11 @@ def test_mistakes_are_one_line_and_status_2(capsys, arguments, message):
 def test_ctrl_c_leaves_the_record(fmus, tmp_path):
     """A signal in the middle of a run: exit status 130, the record readable and whole."""
     arguments = ["run", fmus["mass_b"], "--stop", "1e4", "--record-step", "1e-3", "--out", "o.parquet"]
-    ended = command(arguments, tmp_path, lambda: [*tmp_path.glob("o.partial.parquet/*.parquet")])
+    ended = command(arguments, tmp_path, lambda: [*tmp_path.glob("o.partial.csv")])
     assert (ended.status, ended.left) == (130, ())
     assert "Traceback" not in ended.err
-    assert "is in o.partial.parquet" in ended.out
-    assert len(read_trace(tmp_path / "o.partial.parquet").time) > 1000
+    assert "is in o.partial.csv" in ended.out
+    assert len(read_trace(tmp_path / "o.partial.csv").time) > 1000
 
 
 @pytest.mark.parametrize(

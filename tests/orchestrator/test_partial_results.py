@@ -54,8 +54,8 @@ def begun(path):
 @pytest.mark.parametrize("suffix", FORMATS)
 @pytest.mark.parametrize("blocks", [[1], [3, 5], [64, 7], [10] * 40, [0, 4, 0]])
 def test_rows_that_arrive_in_blocks_are_the_trace_written_at_once(tmp_path, suffix, blocks, monkeypatch):
-    """Also beyond the number of rows of one Parquet file of a partial trace."""
-    monkeypatch.setattr(f"{WRITER}.PART_ROWS", 64)
+    """Also beyond what is converted to Parquet at a time."""
+    monkeypatch.setattr(f"{WRITER}.BLOCK", 600)
     file, memory, first = begun(tmp_path / f"blocks{suffix}"), TraceInMemory(), 0
     memory.begin(file.layout)
     for count in blocks:
@@ -74,9 +74,8 @@ def test_rows_that_arrive_in_blocks_are_the_trace_written_at_once(tmp_path, suff
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_a_partial_trace_can_be_read_while_it_is_written(tmp_path, suffix, monkeypatch):
+def test_a_partial_trace_can_be_read_while_it_is_written(tmp_path, suffix):
     """Each time all rows that were written; the file under its name is the earlier one until the end."""
-    monkeypatch.setattr(f"{WRITER}.PART_TIME", 0.0)
     earlier(tmp_path, suffix)
     file = begun(tmp_path / f"t{suffix}")
     for n in range(1, 6):
@@ -130,9 +129,6 @@ def test_a_name_that_cannot_be_written_is_refused_at_once(tmp_path, name):
     """A name for unfinished results, and a folder; nothing is removed."""
     (tmp_path / "folder.csv").mkdir()
     problem(lambda: TraceFile(tmp_path / name), r"expected (another name|the name of a file)")
-    (tmp_path / "t.partial.parquet").mkdir()
-    (tmp_path / "t.partial.parquet" / "mine.txt").touch()
-    problem(lambda: begun(tmp_path / "t.parquet"), r"parts of a trace, which are replaced, got mine\.txt$")
 
 
 @posix
@@ -158,14 +154,13 @@ def test_a_full_disk_leaves_the_earlier_result_and_whole_rows(fmus, tmp_path, su
     ended = command(["run", fmus["mass_b"], "--out", f"t{suffix}", *ENDLESS], tmp_path, setup=LIMITED)
     assert ended.status == 2
     (line,) = ended.lines
-    assert line.startswith(f"harvester: t.partial{suffix}: cannot be written: ")
-    assert ("it has the rows up to t = " in line) == (suffix == ".csv")  # no Parquet file fits into the limit
+    assert line.startswith("harvester: t.partial.csv: cannot be written: ")
+    assert "it has the rows up to t = " in line
     assert ended.left == ()
     assert {name: (tmp_path / name).read_bytes() for name in before} == before
-    assert {p.name for p in tmp_path.glob("*t.*")} - {*before} <= {f"t.partial{suffix}"}
-    if suffix == ".csv":
-        assert len(read_trace(tmp_path / "t.partial.csv").time) > 100
-        assert (tmp_path / "t.partial.csv").read_bytes().endswith(b"\n")
+    assert {p.name for p in tmp_path.glob("*t.*")} - {*before} == {"t.partial.csv"}
+    assert len(read_trace(tmp_path / "t.partial.csv").time) > 100
+    assert (tmp_path / "t.partial.csv").read_bytes().endswith(b"\n")
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
@@ -178,7 +173,7 @@ def test_a_disk_that_is_full_at_the_end_leaves_all_rows(tmp_path, suffix, monkey
     with pytest.raises(Problem, match=r"cannot be written: No space left on device$"):
         file.publish(complete, {tmp_path / "t.run.json": "{}"})
     file.close()
-    assert [p.name for p in tmp_path.iterdir()] == [f"t.partial{suffix}"]
+    assert [p.name for p in tmp_path.iterdir()] == ["t.partial.csv"]
     assert len(read_trace(file.partial).time) == 30
 
 
@@ -199,7 +194,7 @@ def _killed(fmu, folder, victims, delay, suffix):
     )
     time.sleep(delay)
     # one that dies before its run has begun is replaced, and the run goes on
-    assert victims != ["engine"] or until((folder / f"t.partial{suffix}").exists)
+    assert victims != ["engine"] or until((folder / "t.partial.csv").exists)
     engine = next((child.pid for child in psutil.Process(run.pid).children()), 0)
     for victim in victims:
         os.kill(engine if engine and victim == "engine" else run.pid, signal.SIGKILL)
@@ -221,9 +216,9 @@ def test_a_kill_leaves_the_earlier_result_and_a_readable_part(fmus, tmp_path, ca
     before = earlier(tmp_path, suffix)
     status, error = _killed(fmus["mass_b"], tmp_path, victims, chosen.uniform(0.2, 3.0), suffix)
     assert {name: (tmp_path / name).read_bytes() for name in before} == before
-    partial = tmp_path / f"t.partial{suffix}"
+    partial = tmp_path / "t.partial.csv"
     text = partial.read_bytes() if partial.is_file() else b""
-    if any(partial.glob("*.parquet")) or text.count(b"\n") > 1:  # a part under another name is not complete
+    if text.count(b"\n") > 1:
         trace = read_trace(partial)  # no row is missing
         np.testing.assert_allclose(np.diff(trace.time[:-1]), 1e-3, rtol=0, atol=1e-9)
     assert error.count("\n") <= 1

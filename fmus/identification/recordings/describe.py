@@ -59,7 +59,9 @@ WORDS: Mapping[str, str] = {
     "supply": "pump|versorg", "tank": "return|rück|rueck", "temperature": "temp",
 }  # fmt: skip
 GROUPS = {"rad": "angle", "rad/s": "speed", "m": "position", "Pa": "pressure", "m3/s": "flow"}
-SLOWEST = 2.0  # Hz; a time without a unit is in the largest unit in which a logger is faster
+# A time without a unit is in the largest one in which a logger is faster [Hz]. It is in seconds if its steps
+# are at most so long [s] and the log would else be shorter than any experiment [s]: 0, 1, 2 ... 60 are no ms.
+SLOWEST, SPARSE, SHORTEST = 2.0, 10.0, 0.5
 HEAD = """# Remove "# " in front of the signals that you need, and correct their names and units.
 # What remains a comment is left out. `harvester signals` lists all names, docs/recordings.md all keys.
 
@@ -176,8 +178,10 @@ def _time(columns: Columns, units: Mapping[str, str]) -> tuple[str, str]:
     if not (name := name or next(increasing, "")):
         names = first_names(columns.values, 8)
         raise Problem(f"{columns.file}: expected a column of increasing times, got none among {names}")
-    step = float(np.median(np.diff(columns.values[name])))
-    guess = next((u for u in ("s", "ms", "us") if step * parse_unit(u).factor <= 1 / SLOWEST), "ns")
+    times = columns.values[name]
+    step, length = float(np.median(np.diff(times))), float(times[-1] - times[0])
+    fast = next((u for u in ("s", "ms", "us") if step * parse_unit(u).factor <= 1 / SLOWEST), "ns")
+    guess = "s" if step <= SPARSE and length * parse_unit(fast).factor < SHORTEST else fast
     return name, "s" if columns.moments.get(name) else "d" if is_in_days(columns, name) else units[
         name
     ] or guess

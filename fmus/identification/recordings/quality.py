@@ -23,7 +23,7 @@ from fmus.identification.recordings.clock import (
 )
 from fmus.identification.recordings.reading import MACHINE
 from orchestrator.base.text import display_unit
-from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
+from orchestrator.data.recording import Mask, Recording, true_intervals
 from orchestrator.data.table import Array
 
 # SI unit -> plausible range of the largest magnitude in a recording
@@ -43,7 +43,9 @@ CLOSE = 0.5  # periods; time stamps closer than this belong to one sample that w
 SIGNIFICANT = 5  # standard deviations; a larger count or drift is not due to chance
 RARE = 0.05  # rows that are equal by chance with a larger probability are not judged
 HALF_ZERO = 60  # successive zeros, which noise that is mostly negative or rounds to 0 has: 0.7^60 = 5e-10
-NEIGHBOURS = 8  # samples on each side that determine the slope of a signal
+HUM_FROM, HUM_PARTS = 20.0, 8  # Hz, above the motion of a machine; parts of a recording that a hum is in
+AROUND = 12  # frequencies on each side with which that of a hum is compared
+HUM_SIZE = 0.5  # rms over noise, from which on a hum changes an interval by a tenth: sqrt(1 + 0.5^2) = 1.12
 BOW = 0.25  # periods; a remark if the drift moves time stamps farther than this off a uniform clock
 
 
@@ -237,35 +239,47 @@ def _drift(time: Array, steps: NDArray[np.int64]) -> tuple[float, float, float]:
 def _repeated(recording: Recording) -> Mask:
     """Rows equal to the row before in all signals, if there are more of them than chance explains.
 
-    The probability comes from the signals with noise, outside the ends of their ranges and their dead zones.
+    The probability is that of signals at rest, outside the ends of their ranges and their dead zones.
     """
-    equal = np.ones(len(recording.time), dtype=bool)
-    equal[0] = False
-    chance = np.ones(len(recording.time))
+    equal, chance = np.append(False, np.ones(len(recording.time) - 1, bool)), np.ones(len(recording.time))
     for name, values in recording.signals.items():
+        sensor, at_rest = recording.sensor(name), masks.equal_by_chance(values, recording.sensor(name))
         equal[1:] &= (np.diff(values) == 0) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-        chance *= _chance(values, recording.sensor(name))
+        if at_rest <= masks.MAX_CHANCE:
+            judged = (
+                np.isfinite(values) & ~masks.at_ends(values, sensor) & ~masks.in_dead_zone(values, sensor)
+            )
+            chance[judged] *= at_rest
     equal &= chance < RARE
     expected = float(np.sum(chance[chance < RARE]))
     significant = np.sum(equal) > expected + SIGNIFICANT * math.sqrt(expected) + 0.5
     return equal if significant else np.zeros_like(equal)
 
 
-def _chance(values: Array, sensor: Sensor) -> Array:
-    """Probability that a sample equals the one before; 1 if it cannot be estimated.
+def hum(recording: Recording, name: str) -> tuple[float, float, float]:
+    """A periodic disturbance, such as the hum of the mains: its p-value, frequency [Hz] and rms.
 
-    Two samples with noise sd whose true values differ by d are equal with P exp(-d^2 / (4 sd^2)).
+    It is in all parts of a recording, in contrast to what motion excites. The power of white noise at a
+    frequency is exponential, so the least of n parts exceeds n times less than the mean with exp(-n ratio).
+    The mean is that of the frequencies around. 1 without one, also if it is small for the sensor's noise.
     """
-    result = np.ones(len(values))
-    at_rest = masks.equal_by_chance(values, sensor)
-    if at_rest > masks.MAX_CHANCE:
-        return result
-    _, sd = masks.step_and_noise(values, sensor)
-    change = np.zeros(len(values))
-    span = 2 * NEIGHBOURS + 1
-    if len(values) > span:
-        late, early = values[span:], values[:-span]
-        change[NEIGHBOURS + 1 : -NEIGHBOURS] = np.nan_to_num((late - early) / span)
-    judged = np.isfinite(values) & ~masks.at_ends(values, sensor) & (np.abs(values) > sensor.dead_zone)
-    result[judged] = (at_rest * np.exp(-((change / sd) ** 2) / 4))[judged]
-    return result
+    values, rate = recording.interpolated(name), 1 / period(recording.time)
+    size, sd = len(values) // HUM_PARTS, recording.sensor(name).sd or masks.noise(values)
+    frequency = np.fft.rfftfreq(size, 1 / rate) if size else np.zeros(0)
+    seen = (frequency > HUM_FROM) & (frequency < 0.98 * rate / 2)
+    if seen.sum() < 2 * AROUND or not sd > 0:
+        return 1.0, 0.0, 0.0
+    parts = np.diff(values)[: HUM_PARTS * size - 1]  # without the trend
+    parts = np.resize(parts, (HUM_PARTS, size)) * np.hanning(size)
+    power = np.abs(np.fft.rfft(parts)[:, seen]) ** 2
+    mean, near = power.mean(axis=0), np.ones(2 * AROUND + 1)
+    near[AROUND - 3 : AROUND + 4] = 0.0  # the line itself, as wide as the window makes it
+    floor = np.convolve(mean, near, "same") / np.convolve(np.ones_like(mean), near, "same")
+    ratio = power.min(axis=0) / np.maximum(floor, np.finfo(float).tiny)
+    k = int(np.argmax(ratio))
+    at = float(frequency[seen][k])
+    line = power.mean(axis=0)[max(k - 2, 0) : k + 3].sum() - 5 * floor[k]
+    # a sine of rms r has the power r^2 size sum(window^2) / 2 in its line; of differences 2 sin(pi f / rate)
+    rms = math.sqrt(max(line, 0.0) * 2 / (size * 0.375 * size)) / (2 * math.sin(math.pi * at / rate))
+    p = min(1.0, len(ratio) * math.exp(-HUM_PARTS * float(ratio[k])))
+    return (p, at, rms) if rms > HUM_SIZE * sd else (1.0, at, rms)

@@ -1,9 +1,8 @@
-"""Read recordings for identification (one, a folder, or a bare data file), and select or replace samples.
+"""Read recordings for identification (one or a folder), and select or replace samples.
 
 A recording is a data file and the TOML file of the same name that describes it, see docs/recordings.md and
-`orchestrator.data.recording`. `read_series` reads a foreign data set without a description. `take`, `window`
-and `split` select samples, `add` adds or replaces a signal with its unit and sensor. All return a new
-recording with the same conditions.
+`orchestrator.data.recording`. `take`, `window` and `split` select samples, `add` adds or replaces a signal
+with its unit and sensor. All return a new recording with the same conditions.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,9 +16,9 @@ from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.signals import rms
 from orchestrator.base.text import first_names
-from orchestrator.base.units import doubts, factor_and_offset, parse_unit, si_unit
+from orchestrator.base.units import doubts, factor_and_offset, parse_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
-from orchestrator.data.table import READABLE, Array, TextFormat, read_columns
+from orchestrator.data.table import READABLE, Array
 
 MACHINE, REST, NOTE = "machine", "rest", "note"
 TEMPERATURE = "oil_temperature"  # an optional signal of all recordings [K]
@@ -183,47 +182,4 @@ def add(recording: Recording, name: str, values: Array, unit: str, sensor: Senso
         units={**recording.units, name: unit},
         file_units={key: u for key, u in recording.file_units.items() if key != name},
         sensors=sensors if sensor is None else {**sensors, name: sensor},
-    )
-
-
-def read_series(
-    path: Path | str,
-    columns: Mapping[str, int | str],
-    *,
-    rate: float = 1.0,
-    units: Mapping[str, str] | None = None,
-    skip_lines: int = 0,
-) -> Recording:
-    """A recording from a file of numbers without a description, such as a foreign data set.
-
-    columns      signal -> index from 0 in a text file without names, or name of a column, or of a variable of
-                 a .mat file
-    rate         samples per second [Hz]
-    units        unit of each signal, "1" by default
-    skip_lines   number of lines of a text file before the names or the numbers
-    """
-    path, units = Path(path), units or {}
-    if unknown := [name for name in units if name not in columns]:
-        raise Problem(f"{path}: a unit is given for {unknown[0]}, which is not among the columns")
-    if not columns:
-        raise Problem(f"{path}: expected at least one column, got none")
-    if rate <= 0:
-        raise Problem(f"{path}: expected a rate above 0, got {rate:g} Hz")
-    scales = {name: parse_unit(units.get(name, "1"), f"{path}: {name}") for name in columns}
-    indices = [column for column in columns.values() if isinstance(column, int)]
-    plain_text = path.suffix.lower() not in (".mat", ".parquet")
-    if indices and (len(indices) < len(columns) or not plain_text):
-        raise Problem(
-            f"{path}: expected all columns by name, got index {indices[0]}: an index is possible only in a "
-            "text file, and not mixed with names"
-        )
-    form = TextFormat(skip_lines=skip_lines)
-    table = read_columns(path, {str(column) for column in columns.values()}, form, named=not indices)
-    raw = {name: table.values[str(column)] for name, column in columns.items()}
-    return Recording(
-        source=path,
-        time=np.arange(len(table.rows)) / rate,
-        signals={name: scales[name].factor * values + scales[name].offset for name, values in raw.items()},
-        units={name: si_unit(units.get(name, "1")) for name in columns},
-        title=path.stem,
     )

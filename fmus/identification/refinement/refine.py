@@ -216,7 +216,7 @@ def result(shooting: Shooting, solution: Minimum) -> RefinementResult:
         statistics=found,
         unidentified=unidentified(free, found.data_covariance),
         at_bound=tuple(f.name for f, at in zip(free, bound, strict=True) if at),
-        whiteness={n: whiteness(training, simulator.inputs, k) for k, n in enumerate(problem.signals)},
+        whiteness={n: whiteness(training, k) for k, n in enumerate(problem.signals)},
         training=tuple(training),
         held_out=tuple(simulate(run, simulator, p) for run in problem.held_out),
         model_error=solution.linear.scales.model_error,

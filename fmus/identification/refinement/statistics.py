@@ -12,11 +12,10 @@ noise is added to the inputs, and the change of the estimates follows from the l
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import correlate
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
@@ -25,6 +24,7 @@ from fmus.identification.recordings.masks import autocorrelation_time, noise
 from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, delayed_inputs
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
 from fmus.identification.refinement.shooting import LARGEST_RADIUS, CondensedRun, Minimum, Shooting, linearise
+from orchestrator.base.signals import rms
 from orchestrator.base.text import join_words
 from orchestrator.data.table import Array
 
@@ -211,13 +211,21 @@ class SimulatedRun:
         """Simulation minus measurement; NaN for samples that are not compared."""
         return np.where(self.run.compared, self.y - self.run.measured, np.nan)
 
-    def nrmse(self) -> Array:
-        """Per output: root mean square error over the range of the measurement; NaN without a measurement."""
-        error = self.error
-        mean_square = np.full(error.shape[1], np.nan)
-        measured = self.run.compared.any(axis=0)
-        mean_square[measured] = np.nanmean(error[:, measured] ** 2, axis=0)
-        return np.asarray(np.sqrt(mean_square) / self.run.scale)
+
+def nrmse(simulated: Sequence[SimulatedRun]) -> Array:
+    """Per output, over all runs: root mean square error over the largest range of the measurement.
+
+    If a joint is at rest in a run, the range of its angle there is noise. NaN without a measurement, infinite
+    if a simulation failed; no values without runs.
+    """
+    relative = []
+    for k in range(simulated[0].y.shape[1] if simulated else 0):
+        runs = [s for s in simulated if s.run.compared[:, k].any()]
+        error = np.concatenate([s.error[s.run.compared[:, k], k] for s in runs] or [np.zeros(0)])
+        relative.append(
+            np.nan_to_num(rms(error), nan=np.inf) / max(s.run.scale[k] for s in runs) if runs else np.nan
+        )
+    return np.array(relative)
 
 
 def simulate(
@@ -237,16 +245,12 @@ def simulate(
 class Whiteness:
     """Tests of one output's residuals.
 
-    ljung_box   p-value of the Ljung-Box test over `LAGS` lags
     outside     fraction of the lags of the autocorrelation outside its 99 % bounds, 0.01 if white
-    inputs      the same fraction for the cross-correlation with each input that is not constant
     rms         root mean square of the residuals in standard deviations of the sensor
     excess      p-value of this root mean square if the residuals are noise of the sensor, see `excess`
     """
 
-    ljung_box: float
     outside: float
-    inputs: Mapping[str, float]
     rms: float
     excess: float = 1.0
 
@@ -256,7 +260,7 @@ class Whiteness:
         return self.outside < 0.1 and self.rms < 1.5
 
 
-def whiteness(simulated: Sequence[SimulatedRun], inputs: Sequence[str], output: int) -> Whiteness:
+def whiteness(simulated: Sequence[SimulatedRun], output: int) -> Whiteness:
     """Tests over several runs; gaps between the runs keep lags from reaching from one into the next."""
     gap = np.full(LAGS + 1, np.nan)
     parts = []
@@ -266,18 +270,10 @@ def whiteness(simulated: Sequence[SimulatedRun], inputs: Sequence[str], output: 
     residual = np.concatenate(parts)
     count = int(np.isfinite(residual).sum())
     if count < 4 * LAGS:
-        return Whiteness(np.nan, np.nan, {}, np.nan)
-    autocorrelation, _, p_values = acf(
-        residual, nlags=LAGS, qstat=True, fft=True, missing="conservative", result_object=False
-    )
-    signals = {n: np.concatenate([p for s in simulated for p in (s.run.inputs[n], gap)]) for n in inputs}
-    return Whiteness(
-        ljung_box=float(p_values[-1]),
-        outside=float(np.mean(np.abs(autocorrelation[1:]) > _BOUND / np.sqrt(count))),
-        inputs={n: _cross_outside(residual, u) for n, u in signals.items() if np.nanstd(u) > 0},
-        rms=float(np.sqrt(np.nanmean(residual**2))),
-        excess=excess(residual),
-    )
+        return Whiteness(np.nan, np.nan)
+    correlation = acf(residual, nlags=LAGS, fft=True, missing="conservative", result_object=False)[1:]
+    outside = float(np.mean(np.abs(correlation) > _BOUND / np.sqrt(count)))
+    return Whiteness(outside, float(np.sqrt(np.nanmean(residual**2))), excess(residual))
 
 
 def excess(residual: Array) -> float:
@@ -299,20 +295,3 @@ def excess(residual: Array) -> float:
         return 1.0
     variance = float(squares.var()) * max(1.0, autocorrelation_time(deviations)) / len(squares)
     return float(norm.sf(above / math.hypot(math.sqrt(variance), 2 * white**2 * relative_error)))
-
-
-def _cross_outside(residual: Array, signal: Array) -> float:
-    """Fraction of the lags at which a residual is correlated with an earlier input beyond chance.
-
-    The variance of a cross-correlation of independent signals is sum_k r_e(k) r_u(k) / n [Bartlett 1955].
-    """
-    # normalised to mean 0 and standard deviation 1; gaps become 0
-    e, u = (np.nan_to_num((s - np.nanmean(s)) / (np.nanstd(s) or 1.0)) for s in (residual, signal))
-    count = np.count_nonzero(e)
-    cross = correlate(e, u, method="fft")[len(e) - 1 : len(e) + LAGS] / count
-    reach = min(int(count) // 4, 4000)
-    r_e, r_u = (
-        correlate(s, s, method="fft")[len(s) - 1 : len(s) + reach] / np.count_nonzero(s) for s in (e, u)
-    )
-    variance = float(r_e[0] * r_u[0] + 2 * r_e[1:] @ r_u[1:]) / count
-    return float(np.mean(np.abs(cross) > _BOUND * np.sqrt(max(variance, 1 / count))))

@@ -8,9 +8,7 @@ machine):
 
 The sensitivities dy/dp_j to the identified parameters absorb as much as they can, because a fit without the
 effect has biased the parameters. c_k = 1 means an effect as strong as in the variant. Shares are fractions of
-the residual's sum of squares. "Alone" is the share of effect k as the only one. "Together" is the mean over
-all orders in which effects can be added [Shapley value; Lindeman, Merenda and Gold 1980], so that these
-shares add up to the share that all effects explain.
+the residual's sum of squares. "Alone" is the share of effect k as the only one.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, repeat
+from itertools import repeat
 
 import numpy as np
 import statsmodels.api as sm
@@ -100,14 +98,13 @@ def attribute(
 class EffectShare:
     """Share of the residual's sum of squares that one effect explains.
 
-    alone, together          as the only effect, and among all effects
+    alone                    as the only effect
     coefficient, low, high   strength (1: as in the variant) with its 95 % interval
     signals                  share alone by signal, after subtraction of what the parameters absorb
     """
 
     effect: str
     alone: float
-    together: float
     coefficient: float
     low: float
     high: float
@@ -183,23 +180,20 @@ def explain(
         s = np.column_stack([column(change) for change in absorbed.values()])
         r, d = orthogonal_part(r, s), orthogonal_part(d, s)
     parameters = 1 - float(r @ r) / total
-    explained = explained_squares(d, r) / total
     shares = [
         EffectShare(
             name,
-            float(explained[1 << k]),
-            together,
+            explained_squares(change[:, None], r) / total,
             *strength_interval(change, r, round(MEMORY / step)),
             dict(zip(used, shares_by_part(change, r, counts), strict=True)),
         )
-        for k, (name, together, change) in enumerate(
-            zip(effects, shapley_values(explained), d.T, strict=True)
-        )
+        for name, change in zip(effects, d.T, strict=True)
     ]
+    together = explained_squares(d, r) / total
     ordered = tuple(sorted(shares, key=lambda s: -s.alone))
     of_noise = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
-    text = verdict(ordered, float(explained[-1]), parameters, of_noise)
-    return Explanation(ordered, float(explained[-1]), parameters, of_noise, tuple(used), quiet, text)
+    text = verdict(ordered, together, parameters, of_noise)
+    return Explanation(ordered, together, parameters, of_noise, tuple(used), quiet, text)
 
 
 def unexplained(residual: Signals, noise: Mapping[str, float], small: Mapping[str, float]) -> list[str]:
@@ -217,24 +211,9 @@ def orthogonal_part(columns: Array, regressors: Array) -> Array:
     return orthogonal
 
 
-def explained_squares(d: Array, r: Array) -> Array:
-    """Sum of squares that each set of effects explains, c >= 0; effect k is in the set if bit k is set."""
-    q, upper = np.linalg.qr(d)
-    projected = q.T @ r
-    count = d.shape[1]
-    explained = np.zeros(1 << count)
-    for index in range(1, 1 << count):
-        members = [k for k in range(count) if index >> k & 1]
-        explained[index] = projected @ projected - nnls(upper[:, members], projected)[1] ** 2
-    return np.maximum(explained, 0.0)
-
-
-def shapley_values(explained: Array) -> list[float]:
-    """Mean increase of the explained sum of squares by each effect over all orders of adding effects."""
-    count = len(explained).bit_length() - 1
-    orders = np.array(list(permutations(range(count))))
-    gains = np.diff(explained[np.cumsum(1 << orders, axis=1)], axis=1, prepend=0.0)
-    return [float(gains[orders == k].mean()) for k in range(count)]
+def explained_squares(d: Array, r: Array) -> float:
+    """Sum of squares of r that the effects d (columns) explain together, c >= 0."""
+    return max(float(r @ r) - float(nnls(d, r)[1]) ** 2, 0.0)
 
 
 def strength_interval(d: Array, r: Array, lags: int) -> tuple[float, float, float]:

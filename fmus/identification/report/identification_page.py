@@ -1,75 +1,255 @@
-"""Report of an identification: one self-contained HTML file, and a JSON file with the same values."""
+"""Report of an identification: a page, JSON with the same values, and the last lines in a terminal.
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+The page answers first: which parameters were found with which interval, which of them are doubtful, and the
+worst fit as a picture.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from fmus.contract import quantities
 from fmus.identification.machine import lookup, nominal, sensor_sentences
 from fmus.identification.pipeline import NO_RECORDING, Identified
 from fmus.identification.recordings.quality import Quality
+from fmus.identification.recordings.reading import MACHINE
 from fmus.identification.refinement.refine import RefinementResult, advice
-from fmus.identification.report import figures, prediction, report_texts
+from fmus.identification.refinement.statistics import nrmse
+from fmus.identification.report import figures, prediction
+from fmus.identification.report import report_texts as texts
 from fmus.identification.report.attribution import attribute
 from fmus.identification.results import Estimate, named
 from fmus.machine.parts import FERIC
-from orchestrator.base.signals import rms
-from orchestrator.pages import html_page
-from orchestrator.pages.figures import plot
-from orchestrator.pages.plotting import embed
+from orchestrator.base.text import TextTable, display_unit, first_names
+from orchestrator.pages.html_page import breakable, json_values, upper_first
+from orchestrator.results.report import (
+    PAGE,
+    TERMINAL,
+    Columns,
+    Facts,
+    Figure,
+    Part,
+    Report,
+    Section,
+    Table,
+    Text,
+)
 
-TEMPLATE = Path(__file__).parent / "templates" / "identification.html.j2"
 NAME = "identification"
 MOVES = 0.01  # rad, angular range above which a joint is shown
+WIDE = 0.5  # half interval over value above which an estimate is doubtful
+LARGE_CORRELATION = 0.3  # magnitude of the correlations that are listed
+Content = Mapping[str, Any]
+Show = Mapping[str, Callable[[Any], str]]  # column -> text of a row in it
 
 
-def write_page(folder: Path, page: Mapping[str, Any]) -> tuple[Path, Path]:
-    """Write identification.html and identification.json to a folder; returns both paths.
-
-    page   result of `page_content`
-
-    The JSON file has all values of the page in SI units, without the curves of the figures.
-    """
+def report(page: Content) -> Report:
+    """The report of what `page_content` has found; its JSON has all values in SI units, without curves."""
     results = [{n: value for n, value in vars(r).items() if n != "panels"} for r in page["results"]]
     qualities = [
         {n: value for n, value in vars(q).items() if n not in ("clock", "notes")}
         | {"remarks": q.clock, "faults": len(q.faults())}
         for q in page["qualities"]
     ]
-    values = {**page, "results": results, "qualities": qualities}
-    del values["figures"]
-    html = html_page.write_text(folder / f"{NAME}.html", render(page))
-    return html, html_page.write_json(folder / f"{NAME}.json", values)
+    values = {n: value for n, value in page.items() if n not in ("title", "figures", "worst")}
+    doubts, found = page["warnings"], page["explanation"]
+    parts: list[Part] = [
+        Text([*_predicted(page["prediction"])], only=TERMINAL),
+        Text([found.verdict] if found else [], only=TERMINAL),
+        Text([f"warning: {doubt}" for doubt in doubts], only=TERMINAL),
+        _table(sorted(page["parameters"], key=lambda p: not p["doubt"]), PARAMETERS),
+        *(Figure(figure, title, caption, f"Worst fit: {title}") for title, figure, caption in page["worst"]),
+        *_sections(page),
+    ]
+    origin = f"{upper_first(texts.origin(page['kinds']))}. Read from `{page['source']}`."
+    values |= {"results": results, "qualities": qualities}
+    return Report(page["title"], _verdict(page), parts, values, not doubts, [origin, *page["remarks"]])
 
 
-def render(page: Mapping[str, Any]) -> str:
-    """The HTML file as text."""
-    joint, kinds, heatmap = page["refinement"], page["kinds"], None
-    if joint and len(joint["names"]) > 1:
-        heatmap = embed(figures.draw_correlation(joint["names"], joint["correlation"]), "c-", "Correlation")
-    results = []
-    for k, result in enumerate(page["results"]):
-        if (tables := figures.opening_panel(result.listed)) is not None:
-            result = replace(result, panels=(*result.panels, tables))
-        figure = figures.draw_procedure(result, kinds, titled=False) if result.panels else None
-        drawing = figure and embed(figure, f"f{k}-", result.title)
-        results.append((result, drawing, report_texts.caption(result, kinds)))
-    return html_page.render(
-        TEMPLATE,
-        title=page["title"],
-        page=page,
-        texts=report_texts,
-        origin=report_texts.origin(kinds),
-        results=results,
-        faults=sum(len(q.faults()) for q in page["qualities"]),
-        heatmap=heatmap,
-        picture=figures.estimates_picture(page["parameters"]),
-        figures=[(name, plot(replace(f, title=""), name), caption) for name, f, caption in page["figures"]],
-        plots=bool(page["figures"]),
-    )
+def _verdict(page: Content) -> str:
+    """How many parameters were found, and which of them are doubtful."""
+
+    def count(found: Sequence[Any], name: str) -> str:
+        return f"{len(found)} {name}{'s' if len(found) != 1 else ''}"
+
+    doubtful = [p["estimate"].name for p in page["parameters"] if p["doubt"]]
+    parts = [
+        f"{count(page['parameters'], 'parameter')} with 95 % intervals",
+        f" from {count(page['qualities'], 'recording')}" if page["qualities"] else "",
+        f"; doubtful: {first_names(doubtful)}" if doubtful else "",
+        f"; {count(page['warnings'], 'warning')}" if page["warnings"] else "",
+    ]
+    return "".join(parts)
+
+
+def _predicted(found: Content | None) -> Iterator[str]:
+    """Errors of the predicted recording, and how many samples its bands hold, for a terminal."""
+    if not found:
+        return
+    use = "held out" if found["use"] == "test" else "used for fitting"
+    yield f"predicted: {found['recording']}, {use}; NRMSE of the worst signals"
+    for quantity, (name, error) in prediction.worst(found["nrmse"]).items():
+        yield f"  {quantity:<10}{100 * error:5.2f} %  {name}"
+    if held := found["held"]:
+        least = min(held, key=lambda name: held[name])
+        mean = sum(held.values()) / len(held)
+        yield f"  95 % bands hold {100 * mean:.0f} %, of {least} {100 * held[least]:.0f} %"
+
+
+# ---- tables of the page
+
+
+def _code(name: str) -> Markup:
+    return Markup("<code>{}</code>").format(breakable(name))
+
+
+def _procedure(name: str) -> str:
+    return "joint refinement" if name == MACHINE else name.replace("_", " ")
+
+
+ESTIMATES: Show = {
+    "parameter": lambda e: _code(e.name),
+    "value": texts.value,
+    "95 % interval": texts.interval,
+    "unit": lambda e: display_unit(e.unit).name,
+    "how": lambda e: e.note,
+}
+PARAMETERS: Show = {
+    "parameter": lambda p: _code(p["estimate"].name),
+    "value (95 % interval)": lambda p: texts.value_and_interval(p["estimate"]),
+    "doubt": lambda p: p["doubt"],
+}
+BEFORE: Show = {
+    "parameter": lambda p: _code(p["estimate"].name),
+    "from": lambda p: _procedure(p["procedure"]),
+    "before": lambda p: texts.number(p["prior"], 4, p["estimate"].unit),
+    "unit": lambda p: display_unit(p["estimate"].unit).name,
+    "change": lambda p: texts.change(p["estimate"].value, p["prior"]),
+    "source before": lambda p: p["prior_source"],
+    "meaning": lambda p: p["text"],
+}
+TESTS: Show = {
+    "procedure": lambda f: _procedure(f["procedure"]),
+    "what would be wrong": lambda f: f["fault"],
+    "p": lambda f: texts.probability(f["p"]),
+    "result": lambda f: f["sentence"] if f["named"] else "no fault",
+}
+FITS: Show = {
+    "signal": lambda fit: _code(fit["signal"]),
+    "NRMSE, training": lambda fit: texts.percentage(fit["train"]),
+    "NRMSE, held out": lambda fit: texts.percentage(fit["test"]),
+    "residual over sensor noise": lambda fit: texts.number(fit["noise"], 2),
+    "lags with autocorrelation": lambda fit: texts.percentage(fit["memory"]),
+}
+CORRELATIONS: Show = {
+    "parameter": lambda pair: _code(pair[1]),
+    "and": lambda pair: _code(pair[2]),
+    "correlation": lambda pair: texts.number(pair[0], 2),
+}
+EFFECTS: Show = {
+    "effect": lambda s: s.effect,
+    "alone": lambda s: texts.percentage(s.alone),
+    "strength": lambda s: texts.number(s.coefficient, 2),
+    "95 % interval": lambda s: f"{texts.number(s.low, 2)} to {texts.number(s.high, 2)}",
+    "largest in": lambda s: max(s.signals, key=lambda n: s.signals[n], default=""),
+}
+RECORDINGS: Show = {
+    "recording": lambda q: _code(q.name),
+    "experiment": lambda q: q.procedure.replace("_", " "),
+    "use": lambda q: {"train": "training", "test": "held out"}.get(q.use, q.use),
+    "origin": lambda q: q.kind,
+    "length": lambda q: f"{texts.number(q.duration, 3)} s",
+    "rate": lambda q: f"{texts.number(q.rate, 3)} Hz",
+    "faults": lambda q: "; ".join(q.faults()) or "none",
+}
+NUMBERS = {"value", "before", "change", "p", "correlation", "alone", "strength", "length", "rate"}
+NUMBERS |= FITS.keys() - {"signal"}
+OF_TESTS = (
+    "p: probability of data that contradict the assumption as much, if it holds. A fault is shown if its p "
+    "is below 1 % after the correction for the number of tests [Holm 1979]: at most one of a hundred "
+    "machines without faults has a false warning",
+)
+OF_FITS = (
+    "NRMSE: root mean square error over the range of the measurement; held out: recordings that were not "
+    "fitted, simulated from their first samples",
+    "The last two columns are those of the training residuals. If these were only noise of the sensors, the "
+    "ratio would be 1, and about 1 % of the lags would be significant by chance",
+)
+OF_EFFECTS = (
+    "The identified machine is simulated again with each effect that a variant of a part has, and with "
+    "commands at other times. The change of all signals is compared with the residual of the prediction",
+    "Shares are fractions of the residual's sum of squares, with equal weights of the signals. Alone: only "
+    "this effect is added. Strength 1: as in the variant; below 0: the data show the opposite",
+    "What other values of the identified parameters would explain is not attributed to an effect. If the "
+    "supply pressure is measured, it is an input, so pump and engine are not an effect",
+)
+
+
+def _table(rows: Iterable[Any], show: Show, below: Sequence[str] = ()) -> Table:
+    cells = [[text(row) for text in show.values()] for row in rows]
+    left = [k for k, name in enumerate(show) if name not in NUMBERS]
+    return Table(TextTable([*show], cells, left=left), below if cells else (), only=PAGE)
+
+
+def _folded(title: str, rows: Sequence[Any], show: Show, below: Sequence[str] = ()) -> Section:
+    """A table under a heading with the number of its rows."""
+    return Section(f"{title} ({len(rows)})", [_table(rows, show, below)], folded=True)
+
+
+def _sections(page: Content) -> Iterator[Section]:
+    """The sections of the page; those without content are left out."""
+    yield Section("Warnings", [Text(page["warnings"], "warn")], only=PAGE)
+    yield Section("Values before", [_table(page["parameters"], BEFORE)], folded=True, only=PAGE)
+    shown = [f for f in page["findings"] if f["named"]]
+    quiet = [f for f in page["findings"] if not f["named"]]
+    tests: list[Part] = [
+        _table(shown, TESTS, OF_TESTS),
+        _folded("Tests that found no fault", quiet, TESTS, OF_TESTS),
+    ]
+    yield Section("Tests of the assumptions", tests, only=PAGE)
+    for result in page["results"]:
+        drawn = figures.procedure_figures(result, page["kinds"])
+        pictures = Columns([Figure(f, f"{result.title}, {k}") for k, f in enumerate(drawn, 1)])
+        listed = result.listed if result.listed and result.listed[-1].value else ()
+        others = [
+            _folded(title, rows, ESTIMATES)
+            for title, rows in (("Tables of the openings", listed), ("Other estimates", result.others))
+        ]
+        content: list[Part] = [pictures, Text(result.remarks), _table(result.estimates, ESTIMATES), *others]
+        yield Section(result.title, content, folded=True, only=PAGE)
+    if joint := page["refinement"]:
+        undetermined = joint["unidentified"] or ["Every chosen parameter is identified."]
+        content = [
+            Text(joint["remarks"], "warn"),
+            Facts({"condition number": joint["condition"], **joint["facts"]}),
+            _table(joint["fits"], FITS, OF_FITS),
+            Section("Parameters that the data do not determine", [Text(undetermined)]),
+            _folded("Large correlations", _correlations(joint), CORRELATIONS),
+        ]
+        yield Section("Joint refinement", content, folded=True, only=PAGE)
+    if found := page["explanation"]:
+        small = [f"Signals left out, whose residual is small: {', '.join(found.quiet)}"] * bool(found.quiet)
+        shares = _table(found.shares, EFFECTS, [*OF_EFFECTS, *small])
+        yield Section("Effects in the residual", [Text([found.verdict]), shares], only=PAGE)
+    for title, figure, caption in page["figures"]:
+        yield Section(f"{title} over time", [Figure(figure, title, caption)], folded=True, only=PAGE)
+    yield Section("Data quality", [_table(page["qualities"], RECORDINGS)], only=PAGE)
+    commands = [(text, Markup("<code>{}</code>").format(c)) for c, text in page["commands"].items()]
+    yield Section("Next steps", [Text(lines) for lines in commands], only=PAGE)
+
+
+def _correlations(joint: Content) -> list[tuple[float, str, str]]:
+    """Pairs of estimates with a large correlation, the largest first."""
+    names, r = joint["names"], np.asarray(joint["correlation"])
+    pairs = [(float(r[i, j]), names[j], names[i]) for i in range(len(names)) for j in range(i)]
+    return sorted((p for p in pairs if abs(p[0]) >= LARGE_CORRELATION), key=lambda p: -abs(p[0]))
+
+
+# ---- the content
 
 
 def page_content(
@@ -80,7 +260,7 @@ def page_content(
     qualities: Sequence[Quality] = (),
     processes: int = 1,
 ) -> dict[str, Any]:
-    """The content of the report: the values of the JSON file, and `figures` of the predicted signals.
+    """The content of the report: the values of the JSON file, `figures` of predicted signals, the worst fit.
 
     folder       folder of the recordings
     out          file of the estimated parameters
@@ -89,6 +269,7 @@ def page_content(
     """
     refined, outside, tests = identified.refined, prediction.extrapolated(identified), identified.findings
     shown = named(finding for _, finding in tests)
+    faults = {name: dict.fromkeys(f.fault for n, f in tests if n == name and f in shown) for name, _ in tests}
     missing = [name for name, reason in identified.skipped.items() if reason == NO_RECORDING]
     explanation = None
     if comparison and refined:
@@ -98,11 +279,15 @@ def page_content(
         "source": str(folder),
         "kinds": list(dict.fromkeys(r.kind for r in identified.recordings)),
         "results": identified.results,
-        "parameters": [_parameter(e, procedure) for e, procedure in identified.estimates.values()],
+        "parameters": [
+            _parameter(e, name, _doubt(e, refined if name == MACHINE else None, faults.get(name, ())))
+            for e, name in identified.estimates.values()
+        ],
         "qualities": qualities,
         "refinement": refinement(refined) if refined else None,
         "explanation": explanation,
         "figures": list(_joints(comparison)) if comparison else [],
+        "worst": [*_worst(identified, comparison)],
         "commands": _next_commands(folder, out, identified),
         "remarks": [
             *([f"No recording of {', '.join(missing)}."] if missing else ()),
@@ -120,26 +305,61 @@ def page_content(
         },
         "warnings": [
             *(f"{name}: {why}." for name, why in identified.skipped.items() if why != NO_RECORDING),
-            *(report_texts.warnings(refined) if refined else ()),
+            *(texts.warnings(refined) if refined else ()),
         ],
     }
 
 
 def _joints(comparison: prediction.RecordingComparison) -> Iterator[tuple[str, Any, str]]:
     """Title, figure and caption of each joint that moves."""
-    for joint, number in figures.JOINT_FIGURES.items():
+    for joint in figures.JOINT_FIGURES:
         if np.ptp(comparison.predicted[f"manipulator.{joint}_angle"]) > MOVES:
-            caption = report_texts.joint_caption(comparison.recording, joint, number)
+            caption = texts.joint_caption(comparison.recording, joint)
             yield joint.capitalize(), figures.joint_figure(comparison, joint), caption
 
 
-def _parameter(estimate: Estimate, procedure: str) -> dict[str, Any]:
-    """An estimate with its procedure, and the value that the parameter files have."""
+def _worst(
+    identified: Identified, comparison: prediction.RecordingComparison | None
+) -> Iterator[tuple[str, Any, str]]:
+    """Title, figure and caption of the predicted signal with the largest NRMSE.
+
+    Without a prediction: of the procedure whose tests agree least with the data.
+    """
+    if comparison and (errors := comparison.nrmse()):
+        name = max(errors, key=lambda n: errors[n])
+        seen = f"{comparison.recording.title}: NRMSE {texts.percentage(errors[name])}"
+        yield name, figures.signal_figure(comparison, name), seen
+    elif drawn := [r for r in identified.results if r.panels]:
+        result = min(drawn, key=lambda r: min((f.p for f in r.findings), default=1.0))
+        kinds = [r.kind for r in identified.recordings]
+        yield result.title, figures.procedure_figures(result, kinds)[0], ""
+
+
+def _doubt(estimate: Estimate, refined: RefinementResult | None, faults: Iterable[str]) -> str:
+    """Why an estimate is doubtful; empty if nothing speaks against it.
+
+    refined   the joint refinement, if it found the estimate
+    faults    what tests of its procedure have found
+    """
+    open_end = math.isinf(estimate.low) or math.isinf(estimate.high)
+    wide = estimate.high - estimate.low > 2 * WIDE * abs(estimate.value)
+    reasons = {
+        "at a bound": refined is not None and estimate.name in refined.at_bound,
+        "the search did not converge": refined is not None and not refined.converged,
+        "the data leave it open": open_end,
+        "wide interval": wide and not open_end,
+        **{f"a test contradicts: {fault}": True for fault in faults},
+    }
+    return "; ".join(reason for reason, holds in reasons.items() if holds)
+
+
+def _parameter(estimate: Estimate, procedure: str, doubt: str) -> dict[str, Any]:
+    """An estimate with its procedure, why it is doubtful, and the value that the parameter files have."""
     known = lookup(estimate.name, nominal())
     name = estimate.name.rpartition(".")[2]
     text = next(q[name].text for s in FERIC.subsystems.values() if name in (q := quantities(s.parameters)))
     before = {"prior": known.value, "prior_source": known.source}
-    return {"estimate": estimate, "procedure": procedure, **before, "text": text}
+    return {"estimate": estimate, "procedure": procedure, "doubt": doubt, **before, "text": text}
 
 
 def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str, str]:
@@ -160,18 +380,14 @@ def refinement(refined: RefinementResult) -> dict[str, Any]:
     train, test   NRMSE
     noise         root mean square of the training residual in standard deviations of the sensor
     memory        fraction of the lags with a significant autocorrelation, 0.01 if the residual is white
-    white         probability of this autocorrelation if the residual is white [Ljung and Box]
-    inputs        largest such fraction for the cross-correlation with an earlier input
     """
     problem, fits = refined.problem, []
+    errors = {"train": nrmse(refined.training), "test": nrmse(refined.held_out)}
     for k, signal in enumerate(problem.signals):
-        tests, fit = refined.whiteness[signal], dict[str, Any]()
-        for use, traces in (("train", refined.training), ("test", refined.held_out)):
-            relative = np.array([trace.nrmse()[k] for trace in traces])
-            fit[use] = rms(relative[told]) if (told := np.isfinite(relative)).any() else None
-        fit |= {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
-        fit["inputs"] = max(tests.inputs.values(), default=None)
-        fits.append({"signal": signal, **html_page.json_values(fit)})
+        tests = refined.whiteness[signal]
+        fit = {use: error[k] for use, error in errors.items() if len(error)}
+        fit |= {"noise": tests.rms, "memory": tests.outside}
+        fits.append({"signal": signal, "test": None, **json_values(fit)})
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
     noise = "from the noise of the sensors: residuals are uncorrelated"
     return {

@@ -149,11 +149,11 @@ class RecordingComparison:
         errors = {n: nrmse(y, self.predicted[n]) for n, y in self.measured.items() if n in self.predicted}
         return {name: error for name, error in errors.items() if error is not None}
 
-    def worst(self) -> dict[str, tuple[str, float]]:
-        """The signal with the largest NRMSE of each quantity, and its NRMSE."""
-        errors = self.nrmse()
-        by_quantity = {q: {n: e for n, e in errors.items() if q in n.split("_")} for q in QUANTITIES}
-        return {q: max(e.items(), key=lambda item: item[1]) for q, e in by_quantity.items() if e}
+
+def worst(errors: Mapping[str, float]) -> dict[str, tuple[str, float]]:
+    """The signal with the largest NRMSE of each quantity, and its NRMSE."""
+    by_quantity = {q: {n: e for n, e in errors.items() if q in n.split("_")} for q in QUANTITIES}
+    return {q: max(e.items(), key=lambda item: item[1]) for q, e in by_quantity.items() if e}
 
 
 def nrmse(measured: Array, predicted: Array) -> float | None:

@@ -6,15 +6,14 @@ from collections.abc import Iterable
 import numpy as np
 
 from fmus.identification.refinement.refine import RefinementResult
+from fmus.identification.refinement.statistics import nrmse
 from fmus.identification.report.prediction import WINDOW
-from fmus.identification.results import Estimate, ProcedureResult
+from fmus.identification.results import Estimate
 from orchestrator.base import text
 from orchestrator.base.text import DASH, display_unit, sentences, typeset
 from orchestrator.data.recording import Recording
 
 FAR = 3.0  # residuals over noise from which on eight ninths of chi-square are errors of the model
-WIDE = 0.5  # half interval over value above which the interval is shown as a factor
-FACTOR = "\N{MULTIPLICATION SIGN}÷"
 
 
 def number(value: float | None, digits: int = 3, unit: str = "1") -> str:
@@ -26,6 +25,11 @@ def number(value: float | None, digits: int = 3, unit: str = "1") -> str:
 def value(estimate: Estimate) -> str:
     """The value in its display unit."""
     return number(estimate.value, estimate.digits, estimate.unit)
+
+
+def value_and_interval(estimate: Estimate) -> str:
+    """The value with its unit and, in brackets, the 95 % interval."""
+    return f"{value(estimate)} {display_unit(estimate.unit).name} ({interval(estimate)})".replace("  ", " ")
 
 
 def interval(estimate: Estimate) -> str:
@@ -42,17 +46,6 @@ def _aligned(end: float, estimate: Estimate) -> str:
     factor = display_unit(estimate.unit).factor
     size, of_end = (math.floor(math.log10(abs(factor * x))) for x in (estimate.value, end))
     return number(end, max(1, estimate.digits - size + of_end), estimate.unit)
-
-
-def half_width(estimate: Estimate) -> str:
-    """Half the interval over the value; a factor if the interval is wide and excludes zero."""
-    half, value = (estimate.high - estimate.low) / 2, estimate.value
-    if not value or not math.isfinite(half):
-        return DASH
-    if estimate.low * estimate.high > 0 and half > WIDE * abs(value):
-        ratio = estimate.high / estimate.low
-        return f"{FACTOR} {number(math.sqrt(max(ratio, 1 / ratio)), 2)}"
-    return f"± {percentage(abs(half / value), 2)}"
 
 
 def percentage(value: float | None, digits: int = 2) -> str:
@@ -100,7 +93,7 @@ def warnings(refined: RefinementResult) -> list[str]:
             f"sensors{f' ({far})' if far else ''}: the data contain an effect that the model lacks, "
             "and the estimates compensate for this effect. The report shows which effects are likely."
         )
-    errors = _training_nrmse(refined)
+    errors = dict(zip(refined.problem.signals, nrmse(refined.training), strict=True))
     if poor := sorted((n for n, error in errors.items() if error > POOR), key=lambda n: -errors[n]):
         sentences.append(
             "The model does not even reproduce the recordings that were used for fitting. NRMSE above "
@@ -109,37 +102,11 @@ def warnings(refined: RefinementResult) -> list[str]:
     return [*sentences, CHECK] if sentences else []
 
 
-def _training_nrmse(refined: RefinementResult) -> dict[str, float]:
-    """NRMSE of each signal over all training recordings; infinite if a simulation failed.
-
-    The error is divided by the largest range of the output over the recordings: if a joint is at rest in a
-    recording, the range of its angle there is noise.
-    """
-    errors = {}
-    for k, name in enumerate(refined.problem.signals):
-        traces = [t for t in refined.training if t.run.compared[:, k].any()]
-        if traces:
-            error = np.concatenate([t.error[t.run.compared[:, k], k] for t in traces])
-            relative = np.sqrt(np.mean(error**2)) / max(t.run.scale[k] for t in traces)
-            errors[name] = float(np.nan_to_num(relative, nan=np.inf))
-    return errors
-
-
 def percent(ratio: float) -> str:
     """A ratio in whole percent; infinite for a simulation that failed."""
     return f"{100 * ratio:.0f} %" if np.isfinite(ratio) else "(could not be simulated)"
 
 
-# figures in sections 4 and 5 of the paper
-PAPER = {
-    5: "valve coefficient over the command",
-    6: "pressure drop of a hose over the flow",
-    7: "inertance and capacitance of a hose, four groups of records",
-    8: "internal and external leakage of the swing motor",
-    9: "damping of the swing gear and of the stick cylinder",
-    10: "swing: command, angle, speed, flow, pressures",
-    11: "stick: command, angle, speed, flow, pressures",
-}
 SIMULATED = "simulated data (virtual test rig), not FERIC data"
 KINDS = {"simulation": SIMULATED, "published": "published data", "measurement": "measured data"}
 
@@ -149,29 +116,17 @@ def origin(kinds: Iterable[str]) -> str:
     return "; ".join(dict.fromkeys(KINDS.get(kind, kind) for kind in kinds))
 
 
-def counterpart(number: int) -> str:
-    """The corresponding figure of the paper; empty for 0."""
-    return f"corresponds to Fig. {number} of the paper ({PAPER[number]})" if number in PAPER else ""
-
-
 def footer(number: int, kinds: Iterable[str]) -> str:
-    """A line inside a figure with the origin of its data, for copies of the figure."""
-    parts = [origin(kinds), f"cf. Fig. {number} of the paper" if number in PAPER else ""]
+    """The origin of a figure's data, and the figure of the paper that it corresponds to, 0 for none."""
+    parts = [origin(kinds), f"cf. Fig. {number} of the paper" if number else ""]
     return " · ".join(part for part in parts if part)
 
 
-def caption(result: ProcedureResult, kinds: Iterable[str]) -> str:
-    """Title, origin of the data, and corresponding figure of the paper."""
-    return sentences(result.title, origin(kinds), counterpart(result.figure))
-
-
-def joint_caption(recording: Recording, joint: str, number: int) -> str:
-    """What the figure of a joint shows; `number` of the corresponding figure of the paper."""
+def joint_caption(recording: Recording, joint: str) -> str:
+    """What the figure of a joint shows."""
     use = "not used for fitting" if recording.use == "test" else "used for fitting"
     return sentences(
         f"Measured and predicted signals of the {joint} over {recording.title}, {use}",
-        origin([recording.kind]),
-        counterpart(number),
         f"Speeds: both angles differentiated by one filter, {1000 * WINDOW:.0f} ms wide",
         "Flows in the dead zone of the meter are left out",
     )

@@ -9,6 +9,13 @@
   const AXIS = 62; // px beside the plot for the labels of its ticks
   const SUPERSCRIPT = "⁰¹²³⁴⁵⁶⁷⁸⁹";
   const FONT = '11px system-ui, "Segoe UI", sans-serif';
+  // outlines of marks in units of their size
+  const ring = Array.from({ length: 13 }, (_, k) => [Math.cos((k * Math.PI) / 6), Math.sin((k * Math.PI) / 6)]);
+  const SHAPES = {
+    o: [ring], s: [[[-0.9, -0.9], [0.9, -0.9], [0.9, 0.9], [-0.9, 0.9], [-0.9, -0.9]]], D: [[[0, -1.2], [1.2, 0], [0, 1.2], [-1.2, 0], [0, -1.2]]],
+    "^": [[[0, -1.1], [1.1, 0.9], [-1.1, 0.9], [0, -1.1]]], v: [[[0, 1.1], [1.1, -0.9], [-1.1, -0.9], [0, 1.1]]],
+    x: [[[-1, -1], [1, 1]], [[-1, 1], [1, -1]]], P: [[[-1.2, 0], [1.2, 0]], [[0, -1.2], [0, 1.2]]],
+  };
   const root = document.documentElement;
   const [dark, print] = ["(prefers-color-scheme: dark)", "print"].map((query) => matchMedia(query));
   const colour = (name) => (name.startsWith("#") ? name : getComputedStyle(root).getPropertyValue(`--fig-${name}`));
@@ -68,14 +75,15 @@
     const svg = '<svg viewBox="0 0 26 8" width="26" height="8" aria-hidden="true"><path d="M0 4h26" fill="none"/></svg>';
     button.insertAdjacentHTML("afterbegin", svg);
     const path = button.querySelector("path");
+    if (line.mark) path.setAttribute("d", "M10 4a3 3 0 1 0 6 0a3 3 0 1 0-6 0");
     path.style.stroke = line.colour.startsWith("#") ? line.colour : `var(--fig-${line.colour})`;
-    path.setAttribute("stroke-width", Math.min(line.area ? 8 : line.width, 6));
-    if (line.dash) path.setAttribute("stroke-dasharray", line.dash.join(" "));
+    path.setAttribute("stroke-width", line.mark ? 1.5 : Math.min(line.area ? 8 : line.width, 6));
+    if (line.dash && !line.mark) path.setAttribute("stroke-dasharray", line.dash.join(" "));
   }
 
   class Plot {
     constructor(host, spec, columns) {
-      [this.spec, this.charts, this.off, this.whole] = [spec, [], new Set(), spec.window];
+      [this.spec, this.columns, this.charts, this.off, this.whole] = [spec, columns, [], new Set(), spec.window];
       this.range = [...this.whole];
       this.name = host.getAttribute("aria-label");
       this.live = element("div", host, { class: "live" });
@@ -104,6 +112,7 @@
         button("Reset", "Reset the zoom", () => this.zoom(...this.whole)),
       ];
       this.slider = element("input", bar, { type: "range", min: 0, max: 1000, value: 0, "aria-label": "Time at which the values are read" });
+      this.slider.hidden = Boolean(this.spec.axis); // curves over another quantity have places of their own
       this.slider.addEventListener("input", () => this.point(this.range[0] + (this.slider.value / 1000) * this.length));
       this.clock = element("output", bar, { class: "clock" });
       for (const entry of this.spec.key) this.toggle(bar, entry.label, entry, entry.label);
@@ -116,7 +125,8 @@
         const shown = this.off.delete(id) || !this.off.add(id);
         made.setAttribute("aria-pressed", shown);
         for (const { plot, lines } of this.charts)
-          lines.forEach((one, k) => plot.setSeries(k + 1, { show: this.shows(one) }));
+          if (this.spec.axis) plot.redraw(false);
+          else lines.forEach((one, k) => plot.setSeries(k + 1, { show: this.shows(one) }));
       });
       return made;
     }
@@ -144,7 +154,7 @@
       const place = element("div", this.live, { "aria-hidden": "true" });
       const entry = { chart, lines, values, last };
       this.charts.push(entry);
-      const data = [columns[chart.time], ...lines.map((line) => columns[line.column])];
+      const data = this.spec.axis ? [this.whole, [null, null]] : [columns[chart.time], ...lines.map((line) => columns[line.column])];
       entry.plot = new uPlot(this.options(entry), data, place);
     }
 
@@ -169,15 +179,16 @@
           bind: { dblclick: () => () => this.zoom(...this.whole) },
           points: { size: 5 },
         },
-        scales: { x: { time: false, range: () => this.range }, y: { range: (_, low, high) => this.limits(chart, low, high) } },
-        series: [{}, ...lines.map(line)],
+        scales: { x: { time: false, range: () => this.range }, y: { range: (_, low, high) => this.limits(chart, chart.low ?? low, chart.high ?? high) } },
+        series: [{}, ...(this.spec.axis ? [{}] : lines.map(line))],
         bands: areas.map((k) => ({ series: [k + 2, k + 1], fill: () => `color-mix(in srgb, ${colour(lines[k].colour)} 40%, transparent)` })),
         axes: [
-          { ...axis, size: last ? 42 : 0, splits: (plot, _, low, high) => splits(low, high, Math.max(2, Math.floor(plot.width / 90))), values: (_, at) => (last ? tick(at) : at.map(() => "")), label: last ? "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
-          { ...axis, size: AXIS, splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => tick(at) },
+          { ...axis, size: last ? 42 : 0, splits: (plot, _, low, high) => splits(low, high, Math.max(2, Math.floor(plot.width / 90))), values: (_, at) => (last ? tick(at) : at.map(() => "")), label: last ? this.spec.axis || "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
+          { ...axis, size: AXIS, splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => (chart.log ? at.map((power) => typeset(10 ** power, 2)) : tick(at)) },
         ],
         hooks: {
           drawAxes: [(plot) => this.bounds(plot, chart)],
+          draw: [(plot) => this.spec.axis && this.curves(plot, lines)],
           setSelect: [(plot) => this.selected(plot)],
           setCursor: [(plot) => plot.cursor.event && this.read(plot.cursor.idx === null ? null : plot.posToVal(plot.cursor.left, "x"))],
         },
@@ -200,6 +211,34 @@
         plot.ctx.fillStyle = `color-mix(in srgb, ${colour("good")} 14%, transparent)`;
         plot.ctx.fillRect(left, Math.max(top, high), width, Math.min(plot.valToPos(-bound, "y", true) - high, height));
       }
+    }
+
+    // curves and marks that have places of their own, with error bars
+    curves(plot, lines) {
+      const { left, top, width, height } = plot.bbox;
+      const [ctx, pixel] = [plot.ctx, devicePixelRatio];
+      const at = (column, axis) => this.columns[column].map((value) => (value === null ? null : plot.valToPos(value, axis, true)));
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(left, top, width, height);
+      ctx.clip();
+      for (const line of lines.filter((one) => this.shows(one))) {
+        const [xs, ys] = [at(line.x, "x"), at(line.column, "y")];
+        ctx.strokeStyle = ctx.fillStyle = colour(line.colour);
+        ctx.lineWidth = Math.min(line.width, line.mark ? 1.4 : 6) * pixel;
+        ctx.setLineDash((line.dash ?? []).map((length) => (line.mark ? 0 : length * pixel)).filter(Boolean));
+        ctx.beginPath();
+        const path = (points) => points.forEach(([x, y], k) => y !== null && ctx[k && points[k - 1][1] !== null ? "lineTo" : "moveTo"](x, y));
+        const points = xs.map((x, k) => [x, ys[k]]);
+        const drawn = points.filter(([, y]) => y !== null);
+        if (line.mark) for (const [x, y] of drawn) SHAPES[line.mark].forEach((outline) => path(outline.map(([a, b]) => [x + 3 * a * pixel, y + 3 * b * pixel])));
+        else path(points);
+        if (line.mark && !line.hollow) ctx.fill();
+        const [lows, highs] = line.low === undefined ? [[], []] : [at(line.low, "y"), at(line.high, "y")];
+        lows.forEach((low, k) => ys[k] !== null && path([[xs[k], low ?? top + height], [xs[k], highs[k] ?? ys[k]]]));
+        ctx.stroke();
+      }
+      ctx.restore();
     }
 
     selected(plot) {
@@ -234,10 +273,10 @@
 
     read(time) {
       const [low, high] = this.range;
-      this.clock.textContent = time === null ? `${typeset(low, 4)} to ${typeset(high, 4)} s` : `t = ${time.toFixed(3)} s`;
+      this.clock.textContent = time === null ? `${typeset(low, 4)} to ${typeset(high, 4)}${this.spec.axis ? "" : " s"}` : `t = ${time.toFixed(3)} s`;
       if (time !== null) this.slider.value = (1000 * (time - low)) / this.length;
       this.slider.setAttribute("aria-valuetext", this.clock.textContent);
-      for (const { plot, lines, values } of this.charts) {
+      for (const { plot, lines, values } of this.spec.axis ? [] : this.charts) {
         const at = time === null ? null : plot.valToIdx(time);
         const shown = lines.map((line, k) => [line, at === null ? null : plot.data[k + 1][at]]).filter(([line, value]) => value !== null && !line.area && this.shows(line));
         values.textContent = shown.map(([line, value]) => [[line.name, line.key].filter(Boolean).join(" "), typeset(value, 4)].filter(Boolean).join(" ")).join("; ");

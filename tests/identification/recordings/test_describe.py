@@ -112,10 +112,20 @@ def test_a_column_with_the_name_of_a_signal_is_described_at_once(tmp_path):
     assert [*read_recording(tmp_path / "b.parquet")] == ["boom_stick.boom_command", "swing.supply_pressure"]
 
 
-@pytest.mark.parametrize(("step", "unit"), [(0.02, "s"), (0.5, "s"), (20, "ms"), (1000, "us"), (2e6, "ns")])
-def test_the_unit_of_time_is_that_of_a_logger(step, unit, tmp_path):
-    """In the largest unit in which the log has 2 Hz or more; the column need not be the first one."""
-    pd.DataFrame({"n": K, "U": np.sin(K), "Zeit": step * K}).to_csv(tmp_path / "a.csv", index=False)
+@pytest.mark.parametrize(
+    ("step", "unit", "rows"),
+    [
+        *((0.02, "s", 400), (0.5, "s", 400), (20, "ms", 400), (1000, "us", 400), (2e6, "ns", 400)),
+        *((1, "s", 3), (1, "s", 60), (5, "s", 50), (5, "ms", 400), (1, "ms", 2000), (20, "ms", 3)),
+    ],
+)
+def test_the_unit_of_time_is_that_of_a_logger(step, unit, rows, tmp_path):
+    """In the largest unit in which the log has 2 Hz or more; the column need not be the first one.
+
+    A log in steps of a few that would last less than half a second in ms is in seconds.
+    """
+    k = np.arange(rows)
+    pd.DataFrame({"n": k, "U": np.sin(k), "Zeit": step * k}).to_csv(tmp_path / "a.csv", index=False)
     describe(tmp_path / "a.csv")
     assert f'column = "Zeit"\nunit = "{unit}"' in (tmp_path / "a.toml").read_text(encoding="utf-8")
 

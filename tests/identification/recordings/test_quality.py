@@ -1,16 +1,19 @@
 """Each planted fault is reported with its position, and a clean recording has no remarks."""
 
+import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from identification.recordings.conftest import GAUGE, RATE, SIZE, T, recording, rounded
 from kit.mistakes import table
 
+from fmus.identification.pipeline import hum_findings
 from fmus.identification.recordings.masks import faults, noise, step
-from fmus.identification.recordings.quality import examine
+from fmus.identification.recordings.quality import examine, hum
 from fmus.identification.recordings.reading import take
-from orchestrator.data.recording import Sensor
+from orchestrator.data.recording import Recording, Sensor
 
 METER = Sensor("turbine", noise=0.3, resolution=600 / 4096, low=-300.0, high=300.0, dead_zone=10.0)
 ENCODER = Sensor("encoder", resolution=2 * np.pi / 65536)
@@ -177,14 +180,13 @@ def test_rows_written_twice(clean):
     assert text == "The clock: 1 rows repeat the row before, first at 9.5 s."
 
 
-@table(__file__, "equal_rows", "chance, slope, planted, told")
-def test_equal_rows_are_counted_against_chance(chance, slope, planted, told):
+@table(__file__, "equal_rows", "chance, planted, told")
+def test_equal_rows_are_counted_against_chance(chance, planted, told):
     """A step over 2 root pi sd is the probability of two equal samples of a constant."""
-    sd, k = 1 / (2 * np.sqrt(np.pi) * chance), np.arange(SIZE)
-    triangle = slope * np.abs((k % 36) - 18)
-    values = np.round(np.random.default_rng(0).normal(triangle, sd))
+    sd = 1 / (2 * np.sqrt(np.pi) * chance)
+    values = np.round(np.random.default_rng(0).normal(0, sd, SIZE))
     made = recording(sensors={"x": Sensor(noise=sd, resolution=1.0)}, x=values)
-    rows = 9 + 36 * np.arange(planted) if slope else np.arange(100, SIZE, SIZE // planted)[:planted]
+    rows = np.arange(100, SIZE, SIZE // planted)[:planted]
     assert any("repeat" in text for text in remarks_on(twice(made, rows), "The clock")) == told
 
 
@@ -242,3 +244,38 @@ def test_a_signal_that_is_noise_has_no_unit(sd, doubt):
     made = recording(sensors={"u": Sensor(noise=sd)}, u=0.05 * np.sin(T))
     texts = examine(replace(made, units={"u": "V"})).remarks()
     assert any("is its unit right?" in text for text in texts) == doubt
+
+
+def hummed(rate, rms, frequency):
+    """A flow with steps, noise of one, and a sine."""
+    time = np.arange(0, 20, 1 / rate)
+    steps, noise = 50 * np.floor(time / 2), np.random.default_rng(0).standard_normal(time.size)
+    values = steps + noise + math.sqrt(2) * rms * np.sin(2 * math.pi * frequency * time)
+    about = {"sensors": {"flow": Sensor(noise=1.0)}, "procedure": "valve"}
+    return Recording(time, {"flow": values}, {"flow": "1"}, Path("a.csv"), **about)
+
+
+@pytest.mark.parametrize(("rate", "frequency"), [(100, 44.3), (200, 50), (1000, 150)])
+def test_a_hum_is_found_with_its_frequency_and_size(rate, frequency):
+    """One as large as the noise, among steps; half as large it hardly changes an interval."""
+    p, found, rms = hum(hummed(rate, 1.0, frequency), "flow")
+    assert p < 1e-9
+    assert found == pytest.approx(frequency, abs=0.4)  # the resolution of an eighth of 20 s
+    assert rms == pytest.approx(1.0, rel=0.1)  # noise in the line's five frequencies
+    assert hum(hummed(rate, 0.3, frequency), "flow")[0] == 1.0
+    ((procedure, finding),) = hum_findings([hummed(rate, 1.0, frequency), hummed(rate, 0.0, 1.0)])
+    assert (procedure, finding.fault) == ("valve", "periodic disturbance")
+
+
+def test_noise_is_no_hum():
+    """White and integrated noise, whose size is no reason: p is as small as p in p of the cases."""
+    time = np.arange(0, 10, 0.005)
+    least = []
+    for seed in range(100):
+        noise = np.random.default_rng(seed).standard_normal(time.size)
+        sensors = {n: Sensor(noise=1e-9) for n in ("a", "b")}
+        both = {"a": noise, "b": np.cumsum(noise)}
+        recording = Recording(time, both, dict.fromkeys(both, "1"), Path("a.csv"), sensors=sensors)
+        least += [hum(recording, name)[0] for name in both]
+    assert np.mean(np.array(least) < 0.05) < 0.1  # 0.05 with a standard deviation of 0.015
+    assert min(least) > 1e-5

@@ -1,7 +1,6 @@
 """The sensitivities of the machine against methods that share no code with the compiled ones."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
 
@@ -187,23 +186,6 @@ def test_two_pieces_are_one(cut: int) -> None:
         scale = np.maximum(np.abs(expected), np.abs(found)).max(axis=0)
         assert (np.abs(found - expected).max(axis=0) <= 1e-6 * scale).all()
     assert np.array_equal(second.y[-1, 4:6], second.x[12:14])  # two angles are outputs and states
-
-
-def test_threads_do_not_disturb_each_other() -> None:
-    """Segments from two threads on one model are bit-identical to those from one thread."""
-    machine, rows, x0, _ = started(1e-6)
-
-    def run(scale: float) -> SegmentSolution:
-        return machine.segment(x0, machine.p0 * scale, TIME, rows)
-
-    scales = np.linspace(0.98, 1.02, 20)
-    alone = [run(scale) for scale in scales]
-    with ThreadPoolExecutor(2) as pool:
-        together = list(pool.map(run, scales))
-    for a, b in zip(alone, together, strict=True):
-        assert a.steps == b.steps
-        for name in ("y", "x", "y_x", "y_p", "x_x", "x_p"):
-            assert np.array_equal(getattr(a, name), getattr(b, name))
 
 
 # ---- Sensitivities with respect to the points of opening curves, in the variants of a drive that have them

@@ -19,8 +19,6 @@ def panel(*, title: str = "Drop", log: bool = False) -> Panel:
         Curve("measured", FLOW, drop, error=0.03 * drop),
         Curve("masked: dead zone", FLOW[:3], drop[:3], "masked"),
         Curve("eq. (1)", FLOW, drop, "fit", line=True),
-        Curve("eq. (10)", FLOW, 1.1 * drop, "compared", line=True),
-        Curve("corrected", FLOW, 0.9 * drop, "corrected", line=True),
     )
     return Panel("flow", "pressure drop", curves, title, LITRES, BAR, log)
 
@@ -53,7 +51,7 @@ def result(**more: object) -> ProcedureResult:
 
 def fit(signal: str, *numbers: float | None) -> dict[str, object]:
     """Goodness of fit of a signal."""
-    names = ("train", "test", "noise", "memory", "white", "inputs")
+    names = ("train", "test", "noise", "memory")
     return {"signal": signal, **dict.fromkeys(names), **dict(zip(names, numbers, strict=False))}
 
 
@@ -74,12 +72,12 @@ def page(**more: object) -> dict[str, object]:
         "names": ("valve_area", "swing.gear_ratio", "head_mass"),
         "correlation": np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]),
         "condition": 123.4,
-        "fits": (fit("manipulator.boom_angle", 0.004, 0.0061, 3.1, 0.4, 1e-12, 0.02), fit("x", 0.01)),
+        "fits": (fit("manipulator.boom_angle", 0.004, 0.0061, 3.1, 0.4), fit("x", 0.01)),
         "unidentified": ("head_mass: the data leave it open by 80 %.",),
         "facts": {"search": "9 iterations"},
         "remarks": (),
     }
-    shares = (EffectShare("swinging head", 0.5, 0.4, 0.9, 0.8, 1.0, {"manipulator.swing_angle": 0.7}),)
+    shares = (EffectShare("swinging head", 0.5, 0.9, 0.8, 1.0, {"manipulator.swing_angle": 0.7}),)
     explanation = Explanation(
         shares, 0.6, 0.1, 0.05, ("manipulator.swing_angle",), ("quiet_one",), "One effect."
     )
@@ -90,12 +88,12 @@ def page(**more: object) -> dict[str, object]:
         "results": (result(),),
         "parameters": (
             {"estimate": AREA, "procedure": "hose_resistance", "prior": 4e-5, "prior_source": "assumed"}
-            | {"text": "Area of <all> edges"},
+            | {"text": "Area of all edges", "doubt": ""},
         ),
         "qualities": (quality("a.csv", (channel("flow", "m3/s", "1 sample clipped."),)),),
         "refinement": joint,
         "explanation": explanation,
         "commands": {"harvester build --parameters parameters.toml": "Build the machine:"},
     }
-    empty = {"figures": (), "findings": (), "remarks": (), "warnings": (), "prediction": None}
+    empty = {"figures": (), "worst": (), "findings": (), "remarks": (), "warnings": (), "prediction": None}
     return {**empty, **given, **more}

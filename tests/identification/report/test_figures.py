@@ -1,19 +1,18 @@
-"""Figures of procedures, of comparisons and of correlations."""
+"""Figures of procedures and of comparisons."""
 
-import io
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from identification.report.samples import panel, residual, result
-from matplotlib.image import imread
 
 from fmus.identification.report import figures, report_texts
-from fmus.identification.report.figures import draw_procedure, joint_figure, opening_panel
+from fmus.identification.report.figures import joint_figure, procedure_figures
 from fmus.identification.report.identification_page import _joints
 from fmus.identification.report.prediction import RecordingComparison, nrmse
-from fmus.identification.results import Curve, Estimate, Panel
+from fmus.identification.results import Curve, Panel
 from orchestrator.data.recording import Recording
 from orchestrator.pages import plotting
 from orchestrator.pages.figures import plot
@@ -21,118 +20,72 @@ from orchestrator.pages.figures import plot
 TIME = np.arange(0.0, 5.0, 0.005)
 
 
-def drawn(*panels, **more):
-    """The axes of a figure with these panels, residuals among them."""
-    return draw_procedure(result(panels=panels, **more), ["simulation"])
+def drawn(*panels):
+    """The figures of a procedure with these panels, residuals among them."""
+    return procedure_figures(result(panels=panels), ["simulation"])
 
 
-def test_a_residual_is_below_its_panel_over_the_same_axis():
-    """Panels over the same quantity share their x axis, the lowest one labels it; zero is in the middle."""
-    top, below = drawn(panel(), residual()).axes
-    top.set_xlim(1, 2)
-    assert below.get_xlim() == (1, 2)
-    assert (top.get_xlabel(), below.get_xlabel()) == ("", "flow [L/min]")
-    assert top.get_position().y0 > below.get_position().y1
-    low, high = below.get_ylim()
-    # exact identity: rounding only
-    assert low == pytest.approx(-high)
+def spec(figure):
+    """What the page's script gets of a figure."""
+    text = str(plot(figure, "x"))
+    return json.loads(text[text.index("{") : text.index("</script>")])
 
 
-def test_values_are_shown_in_the_units_of_the_panel():
-    """SI inside, L/min and bar on the axes."""
-    axes = drawn(panel()).axes[0]
-    fit = next(line for line in axes.lines if line.get_label() == "eq. (1)")
-    # exact identity: rounding only
-    np.testing.assert_allclose(fit.get_xdata(), np.linspace(12, 120, 30))
-    np.testing.assert_allclose(fit.get_ydata()[-1], 4.0)
-    assert axes.get_ylabel() == "pressure drop [bar]"
+def test_a_residual_is_the_strip_below_its_panel():
+    """In display units; panels over the same quantity are one figure, another quantity has its own."""
+    first, second = drawn(panel(), residual(), replace(panel(), x_label="time", log=True))
+    (over_flow,) = first.panels
+    assert (first.axis, second.axis) == ("flow [L/min]", "time [L/min]")
+    assert (over_flow.label, over_flow.unit, over_flow.error_unit) == ("Drop: pressure drop", "bar", "bar")
+    measured = next(line for line in over_flow.lines if line.name == "measured")
+    # exact identity: 2e-3 m3/s are 120 L/min, and 1e11 (2e-3)^2 Pa are 4 bar
+    assert (measured.time[-1], measured.values[-1]) == pytest.approx((120, 4))
+    assert measured.error[-1] == pytest.approx(0.12)
+    assert over_flow.errors[0].values == pytest.approx(1e-5 * residual().curves[0].y)
+    assert second.panels[0].log
 
 
-def looks(axes):
-    """Mark, line, dashes and filling of each curve, without its colour."""
-    handles, _ = axes.get_legend_handles_labels()
-    lines = [handle[0] if isinstance(handle, tuple) else handle for handle in handles]
-    # the pattern of a line is its linestyle with its dashes
-    return {
-        (x.get_marker(), x.get_linestyle(), str(x._dash_pattern), x.get_markerfacecolor() == "none")
-        for x in lines
-    }
+def test_the_script_and_matplotlib_draw_marks_error_bars_and_powers_of_ten():
+    """Each curve has places of its own; of a logarithmic panel the script gets the logarithms."""
+    (figure,) = drawn(replace(panel(), log=True))
+    (chart,) = spec(figure)["charts"]
+    assert chart["log"] == 1
+    low = 0.8 * 1e11 * 2e-4**2 / 1e5  # a mark or the end of a bar, within the range of all
+    assert chart["low"] < np.log10(low) + 0.1 < chart["high"]
+    by_name = {line["name"]: line for line in chart["lines"]}
+    assert {"x", "low", "high", "mark"} <= by_name["measured"].keys()
+    assert by_name["masked: dead zone"]["hollow"] == 1
+    assert "mark" not in by_name["eq. (1)"]
+    axes = plotting.draw(figure).axes[0]
+    assert (axes.get_yscale(), axes.get_xlabel()) == ("log", "flow [L/min]")
+    assert len(axes.containers) == 1  # the error bars
 
 
-def test_tables_of_openings_are_drawn_with_their_intervals():
-    """Edges with the same table share a curve, with bars to the ends of the intervals; else no panel."""
-
-    def table(edge, *openings):
-        for kind, unit in (("command", "V"), ("opening", "1")):
-            for k, y in enumerate(openings, 1):
-                ends = (2.0 * k,) * 3 if unit == "V" else (y, y - 0.1, y + 0.3)
-                stem = f"valve_{edge}_{kind}"
-                yield Estimate(f"{stem}_{k}", ends[0], unit, 0.1, *ends[1:], "", f"{stem}s")
-
-    drawn_panel = opening_panel([*table("pa", 0.2, 1.0), *table("bt", 0.2, 1.0), *table("at", 0.3, 0.9)])
-    assert [curve.label for curve in drawn_panel.curves] == ["P-A, B-T", "A-T"]
-    (axes,) = drawn(drawn_panel).axes
-    first, _ = (np.concatenate(bars.get_segments()) for bars in axes.collections)
-    # exact identity: rounding only
-    assert {(x, round(y, 9)) for x, y in first} == {(2, 0.1), (2, 0.5), (4, 0.9), (4, 1.3)}
-    empty = [replace(e, value=0.0) for e in table("pa", 1.0)]
-    assert opening_panel(empty) is None
+def test_a_large_cloud_is_thinned():
+    """50 000 points: a page keeps enough of them to see the cloud, a file a bitmap of all."""
+    cloud = Panel("x", "y", (Curve("measured", *np.random.default_rng(0).standard_normal((2, 50_000))),))
+    (figure,) = drawn(cloud)
+    assert max(count for count, *_ in spec(figure)["columns"]) == 3000
+    assert len(plotting.svg(plotting.draw(figure))) < plotting.SVG_LIMIT
 
 
 def test_curves_differ_without_colour():
-    """Each kind of curve, and each of several compared ones, differs in mark, line or filling.
-
-    Of two lines the measurement is broad and solid, the fit thin and dotted.
-    """
-    laws = (
-        tuple(Curve(f"law {k}", TIME, k + TIME, "compared", line=joined) for k in range(4))
-        for joined in (True, False)
-    )
-    for shown in (panel(), *(Panel("x", "y", curves) for curves in laws)):
-        assert len(looks(drawn(shown).axes[0])) == len(shown.curves)
-    curves = (Curve("m", TIME, np.sin(TIME), line=True), Curve("f", TIME, np.cos(TIME), "fit", line=True))
-    measured, fit = drawn(Panel("time", "x", curves)).axes[0].lines
-    assert measured.get_linewidth() > 1.5 * fit.get_linewidth()
-    assert (measured.get_linestyle(), fit.get_linestyle()) == ("-", "--")
-
-
-def test_panels_have_columns_and_nothing_is_cut_off():
-    """Another quantity has a column of its own, many panels over one have two; all labels are inside."""
-    figure = drawn(panel(), residual(), replace(panel(), x_label="time", log=True))
-    left, _, right = figure.axes
-    assert right.get_position().x0 > left.get_position().x1
-    plotting.png(figure)
-    for axes in figure.axes:
-        box = axes.get_tightbbox(figure.canvas.get_renderer()).transformed(figure.transFigure.inverted())
-        assert min(box.x0, box.y0) > -1e-3
-        assert max(box.x1, box.y1) < 1 + 1e-3
-    axes = drawn(panel(), panel(), panel(), residual()).axes
-    assert len({round(a.get_position().x0, 2) for a in axes}) == 2
-    axes[0].set_xlim(3, 4)
-    assert {a.get_xlim() for a in axes} == {(3, 4)}
-
-
-def test_figures_are_small_reproducible_and_crisp():
-    """50 000 points are a bitmap in the SVG, which is the same twice; a PNG has more pixels than shown."""
-    many = np.random.default_rng(0).standard_normal((2, 50_000))
-    cloud = Panel("x", "y", (Curve("measured", *many),))
-    assert len(plotting.svg(drawn(cloud))) < plotting.SVG_LIMIT
-    one, other = (plotting.svg(draw_procedure(result())) for _ in range(2))
-    assert one == other
-    assert imread(io.BytesIO(plotting.png(draw_procedure(result())))).shape[1] > 1000
+    """Each kind of curve, and each of several measured ones, differs in mark, line or filling."""
+    several = Panel("x", "y", tuple(Curve(f"edge {k}", TIME, k + TIME) for k in range(4)))
+    for shown in (panel(), several):
+        (figure,) = drawn(shown)
+        looks = {
+            tuple(str(v) for key, v in line.style.items() if key != "color" and not str(v).startswith("#"))
+            for line in figure.panels[0].lines
+        }
+        assert len(looks) == len(shown.curves)
 
 
 def test_a_figure_says_whether_its_data_are_simulated():
-    """The origin is in the figure and in its caption, with the paper's figure."""
-    assert "not FERIC data" in plotting.svg(drawn(panel()))
-    caption = report_texts.caption(result(), ["simulation", "simulation"])
-    assert caption.lower().count("simulated data (virtual test rig), not feric data") == 1
-    assert caption.count("Simulated data (virtual test rig), not FERIC data.") == 1  # it begins a sentence
-    assert "Fig. 6 of the paper" in caption
-    caption = report_texts.caption(result(figure=0), ["measurement"])
-    assert "imulated" not in caption
-    assert "Fig." not in caption
-    assert "Measured data." in caption
+    """The origin is below the figure, with the paper's figure."""
+    (figure,) = drawn(panel())
+    assert figure.below == "simulated data (virtual test rig), not FERIC data · cf. Fig. 6 of the paper"
+    assert report_texts.footer(0, ["measurement"]) == "measured data"
 
 
 def comparison(measured, predicted):
@@ -190,14 +143,8 @@ def test_nrmse_is_over_the_range():
     assert [nrmse(np.array([0, x]), np.zeros(2)) is None for x in (0.8e-9, 1.2e-9)] == [True, False]
 
 
-def test_panels_of_measured_signals_and_correlations():
-    """A joint without a flow meter has no panel for flow; each pair is drawn once, large ones with value."""
+def test_panels_of_measured_signals():
+    """A joint without a flow meter has no panel for flow."""
     names = [n for signals in figures.SIGNALS["swing"].values() for n in signals if "flow" not in n]
     drawn = joint_figure(comparison(dict.fromkeys(names[:4], TIME), {}), "swing")
     assert [panel.label for panel in drawn.panels] == ["command", "angle", "speed", "pressure"]
-    names = ["a", "b", "c"]
-    correlation = np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]])
-    axes = figures.draw_correlation(names, correlation).axes[0]
-    assert sorted(t.get_text() for t in axes.texts) == ["0.9", "\N{MINUS SIGN}0.4"]
-    assert [t.get_text() for t in axes.get_xticklabels()] == ["a", "b"]
-    assert [t.get_text() for t in axes.get_yticklabels()] == ["b", "c"]

@@ -8,7 +8,6 @@ import pytest
 from identification.report import samples
 from identification.report.samples import channel
 
-from fmus.identification.recordings.quality import prepared
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, MeasuredRun
 from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.refinement.shooting import Iteration
@@ -39,7 +38,7 @@ def refined(**more) -> RefinementResult:
     labels = {"boom_angle": "manipulator.boom_angle", "boom_stick_initial_preload": PRELOAD}
     problem = EstimationProblem(HARVESTER, outputs, free, runs, labels=labels)
     covariance = np.array([[0.04, 0.01], [0.01, 0.01]])
-    quiet = Whiteness(np.nan, np.nan, {}, np.nan)
+    quiet = Whiteness(np.nan, np.nan)
     given = {
         "problem": problem,
         "z": np.log([2.0, 3.0]),
@@ -49,7 +48,7 @@ def refined(**more) -> RefinementResult:
         "unidentified": (f"{PRELOAD} and valve_area: not each",),
         "at_bound": (PRELOAD,),
         "whiteness": {
-            "manipulator.boom_angle": Whiteness(0.2, 0.01, {"u": 0.3, "v": 0.1}, 1.1),
+            "manipulator.boom_angle": Whiteness(0.01, 1.1),
             "swing_flow_a": quiet,
         },
         "training": training,
@@ -68,8 +67,8 @@ def test_a_refinement_has_the_names_of_the_report():
     # exact identity: rounding only
     assert angle["train"] == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
     assert angle["test"] == pytest.approx(0.05)
-    assert (angle["noise"], angle["memory"], angle["inputs"]) == (1.1, 0.01, 0.3)
-    assert [flow[name] for name in ("train", "test", "noise", "inputs")] == [None] * 4
+    assert (angle["noise"], angle["memory"]) == (1.1, 0.01)
+    assert [flow[name] for name in ("train", "test", "noise")] == [None] * 3
     assert found["names"] == ["valve_area", PRELOAD]
     assert found["correlation"][0, 1] == pytest.approx(0.5)
     assert found["unidentified"] == [f"{PRELOAD} and valve_area: not each."]
@@ -110,20 +109,6 @@ def test_speeds_are_compared_through_one_filter_and_flows_outside_the_dead_zone(
     np.testing.assert_array_equal(np.isnan(residual), dead)
 
 
-def test_the_quality_of_a_recording():
-    """Name, use, kind, rate, and the remarks by signal without its name."""
-    _, found = prepared(machine())
-    assert (found.name, found.use, found.kind) == ("b.csv", "test", "simulation")
-    # exact identity: rounding only
-    assert found.rate == pytest.approx(200.0)
-    flow = next(c for c in found.channels if c.signal == "boom_stick.boom_head_flow")
-    assert flow.sensor == "turbine"
-    assert flow.dead > 0  # not a fault, so no remark
-    assert not any("dead zone" in remark for remark in flow.remarks)
-    assert not any(remark.startswith(flow.signal) for remark in flow.remarks)
-    assert found.faults() == []
-
-
 def test_the_lines_for_a_terminal():
     """One line for each fault; one line for all dead zones, which are not faults, with the largest."""
     flow, asleep = channel("flow", "m3/s", dead=0.4), channel("other_flow", "m3/s", dead=1.0)  # never moved
@@ -143,7 +128,7 @@ def test_the_lines_for_a_terminal():
 
 def test_advice_and_intervals_depend_on_the_information():
     """A scatter between nine segments is advised against; an interval over a factor 1000 is open."""
-    loud = {"manipulator.boom_angle": Whiteness(0.0, 1.0, {}, 2.0)}
+    loud = {"manipulator.boom_angle": Whiteness(1.0, 2.0)}
     for segments, count in ((9, 1), (10, 0)):
         some = Statistics(np.eye(2), np.eye(2), np.eye(2), 100, segments, 7.0)
         assert len(advice(refined(statistics=some, whiteness=loud))) == count
@@ -157,8 +142,8 @@ def test_advice_and_intervals_depend_on_the_information():
 def test_residuals_far_above_the_noise_are_a_warning():
     """The number, and the worst signals that are above their noise; a good fit has none."""
     assert warnings(refined(at_bound=(), history=(Iteration(0, 2.9, 0.1, {}),))) == []
-    many = {f"s{k}": Whiteness(0.0, 1.0, {}, 3.1 + k) for k in range(5)}
-    one = {"manipulator.boom_angle": many["s4"], "swing_flow_a": Whiteness(0.2, 0.01, {}, 1.1)}
+    many = {f"s{k}": Whiteness(1.0, 3.1 + k) for k in range(5)}
+    one = {"manipulator.boom_angle": many["s4"], "swing_flow_a": Whiteness(0.01, 1.1)}
     worst = "(s4 7.1 times, s3 6.1 times, s2 5.1 times)"
     for tests, named in ((many, worst), (one, "(manipulator.boom_angle 7.1 times)")):
         fit = refined(at_bound=(), history=(Iteration(0, 168.0, 0.1, {}),), whiteness=tests)
