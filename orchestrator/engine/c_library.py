@@ -245,6 +245,7 @@ class Binding:
             fmu_values=self.at(call.fmu_values),
             values=self.at(call.values),
             count=len(call.names),
+            reference_count=len(call.references),
             type=ELEMENTS.index(call.fmu_values.dtype),
             array=self.array_of(call.values),
             sets=call.sets,
@@ -287,6 +288,7 @@ class Binding:
             for name, value in call.call.for_c().items():
                 setattr(struct, name, value)
             struct.unknowns, struct.knowns = self.at(call.unknowns), self.at(call.knowns)
+            struct.unknown_references, struct.known_references = len(call.unknowns), len(call.knowns)
             self.checked(struct, call.call)
         else:
             struct.index = self._register(call)

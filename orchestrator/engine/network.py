@@ -24,7 +24,7 @@ from orchestrator.base.text import grouped
 from orchestrator.engine.algebraic_loop import AlgebraicLoop, solver
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.scenario import DrivenInputs, Scenario
-from orchestrator.fmi.calls import Buffer, Call, Slave, StepCalls, calls_by_type
+from orchestrator.fmi.calls import Buffer, Call, Slave, StepCalls, calls_by_type, set_starts
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.dependencies import (
     DependencyCycle,
@@ -191,7 +191,7 @@ class SignalArray:
             return port.component, system.variable(port).function_type, stages[port]
 
         blocks = []
-        for (component, _, same), ports in grouped(stages, group_of).items():
+        for (component, _, same), ports in grouped(_by_array(system, stages), group_of).items():
             blocks.append(Block(component, same, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
@@ -205,6 +205,16 @@ class SignalArray:
     def indices(self, ports: Iterable[Port]) -> NDArray[np.int64]:
         """The indices of ports, shape (n,)."""
         return np.array([self.index[p] for p in ports], dtype=np.int64)
+
+
+def _by_array(system: System, ports: Iterable[Port]) -> list[Port]:
+    """The ports, with all elements of an array at the first of them, in order: FMUs take them whole."""
+    found = [*ports]
+    variables = {p: system.variable(p) for p in found}
+    if not any(v.array for v in variables.values()):
+        return found
+    of_array = grouped(found, lambda p: (p.component, (variables[p].array or variables[p]).name))
+    return [p for same in of_array.values() for p in sorted(same, key=lambda p: variables[p].position)]
 
 
 Blocks = list[tuple[SignalArray, Block]]
@@ -440,12 +450,12 @@ def initialise(
     span         start and stop time [s]
     tolerances   component -> tolerance of the solver in its FMU
     """
+    system.check_sizes(driven)
     for name, slave in slaves.items():
         # the sum of equal steps may be carried by rounding beyond the true stop time
         stop = span[1] if slave.interface.variable_step else span[1] + 4.0 * math.ulp(span[1])
         slave.setup(span[0], stop, tolerances.get(name) if tolerances else None)
-        for variable, value in system.components[name].start.items():
-            slave.set(variable, value)
+        set_starts(slave, system.components[name].whole_start)
     _set(slaves, driven)  # some FMUs compute start values when they enter initialisation mode
     for slave in slaves.values():
         slave.enter()

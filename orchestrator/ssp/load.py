@@ -13,6 +13,7 @@ from pathlib import Path
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, archive_kept_open, require_system
 from orchestrator.base.options import Seconds, seconds
+from orchestrator.base.text import grouped
 from orchestrator.base.units import IDENTITY, LinearTransformation, conversion, differences
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.annotations import COMMON, SHARED, ignored_annotations, read_shared, read_suggestion
@@ -32,6 +33,7 @@ from orchestrator.ssp.system_structure import (
     DEFINITION,
     SINKS,
     FlatStructure,
+    whole_of,
     read_structure,
     signal_paths,
 )
@@ -100,13 +102,19 @@ def _load_ssd(ssd: Location) -> System:
 def _connected(flat: FlatStructure, system: System) -> System:
     """The system with its connections, inputs, outputs and start values."""
     notes = list(flat.notes)
+    sizes = bound_values(signal_paths(flat, system, [], sizes=True))
+    system = system.started(sizes, "")
     signals = signal_paths(flat, system, notes)
     maps = [(path, signals.map(path)) for path in signals.paths]
     fed: dict[Port, list[tuple[Port, LinearTransformation]]] = {}
     for path, linear in maps:
         if path.target.component in flat.sources:
             fed.setdefault(path.source, []).append((path.target, linear))
-    inputs = {c.variable: _inlet(flat, system, c, fed.get(c, ()), notes) for c in flat.of_kind("", *SINKS)}
+    elements = grouped(fed, lambda c: c if c in flat.connectors else whole_of(c))
+    inlets = [
+        e for c in flat.of_kind("", *SINKS) for e in elements.get(c, () if flat.declared(c).shape else [c])
+    ]
+    inputs = {c.variable: _inlet(flat, system, c, fed.get(c, ()), notes) for c in inlets}
     system = replace(system, inputs=inputs)
     start = bound_values(replace(signals, system=system))
     connections, outputs = list[Connection](), dict[str, Outlet]()
@@ -193,6 +201,8 @@ def assemble(
     """
     components = {n: open_component(n, Location(Path(p))) for n, p in fmus.items()}
     system = System(name, components)
+    sizes, start = system.sizes(start or {})
+    system = system.with_start(sizes, origin="")
     notes: list[str] = []
     checked, terminals = list[Connection](), Terminals(system)
     for entry in connections:
@@ -215,7 +225,7 @@ def assemble(
         notes=(*notes, *_driven_parameters(system, checked)),
         shared={parameter: tuple(names) for parameter, names in (shared or {}).items()},
         common={parameter: tuple(names) for parameter, names in (common or {}).items()},
-    ).with_start(start or {}, origin="")
+    ).with_start(start, origin="")
     system.check_sharing()
     return system
 

@@ -6,8 +6,11 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import islice
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
@@ -69,6 +72,18 @@ class Component:
     origins: Mapping[str, Chosen] = field(default_factory=dict)
 
     __repr__ = brief
+
+    def __post_init__(self) -> None:
+        """Arrays have the sizes that structural parameters give them."""
+        object.__setattr__(self, "interface", self.interface.resized(self.start))
+
+    @cached_property
+    def whole_start(self) -> Mapping[str, Value]:
+        """The start values of the system; of an array with some of them those of the FMU, too."""
+        variables = self.interface.variables
+        arrays = dict.fromkeys(a for name in self.start if (a := variables[name].array))
+        values = {e: self.value(e) for array in arrays for e in array.elements if self.has_start(e)}
+        return {**self.start, **values}
 
     def with_start(self, values: Mapping[str, Value], origin: str) -> Component:
         """The component with other start values; origin: where they come from, if a user chose them."""
@@ -250,6 +265,87 @@ class System:
         others = dict.fromkeys([*self.inputs, *common, *(p.variable for p in self.ports("input"))])
         return tuple((port, self._conversion(port)) for port in inputs or [self.port(name, others)])
 
+    def array(self, name: str) -> tuple[tuple[int | None, ...], list[Port]] | None:
+        """Shape and elements of the array that a name means, `component.array`; None if it is none."""
+        dots = (i for i, letter in enumerate(name) if letter == ".")
+        for component, variable in ((name[:i], name[i + 1 :]) for i in dots):
+            if component in self.components:
+                found = self.components[component].interface.arrays.get(variable)
+                if found:
+                    return found.shape, [Port(component, element) for element in found.elements]
+        alone = [c for c in self.components if len(self.components) == 1 and "." not in name]
+        return self.array(f"{alone[0]}.{name}") if alone and "." not in name else None
+
+    def pairs(self, source: str, target: str) -> list[tuple[Port, Port]] | None:
+        """The elements that a connection of two arrays connects; None if neither end is one."""
+        ends = self.array(source), self.array(target)
+        if ends == (None, None):
+            return None
+        (one, sources), (other, targets) = (end or ((), []) for end in ends)
+        if one != other:
+            got = " and ".join(
+                f"({', '.join(map(str, shape))})" if shape else "a scalar" for shape in (one, other)
+            )
+            raise Problem(f"{source} -> {target}: expected equal shapes, got {got}")
+        return [*zip(sources, targets, strict=True)]
+
+    def _elements(self, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        """Values by name, those of arrays by element; an array has a list, or a text of one."""
+        for name, given in values.items():
+            if not (array := self.array(name)):
+                yield name, given
+                continue
+            each = given.split() if isinstance(given, str) else [*np.ravel(given).tolist()]
+            if len(each) != len(array[1]):
+                raise Problem(f"{name}: expected {len(array[1])} values, got {len(each)}")
+            yield from zip(map(str, array[1]), each, strict=True)
+
+    def _rewired(self, before: System) -> System:
+        """The system with connections of arrays whose sizes have changed."""
+        arrays = {(n, a) for n, c in before.components.items() for a in c.interface.arrays}
+        now = {(n, a): self.components[n].interface.arrays[a].shape for n, a in arrays}
+        changed = {k for k in arrays if before.components[k[0]].interface.arrays[k[1]].shape != now[k]}
+        if not changed:
+            return self
+
+        def end(port: Port) -> tuple[str, str]:
+            array = before.variable(port).array
+            return port.component, array.name if array else port.variable
+
+        kept = list[Connection]()
+        for (source, target), wires in grouped(
+            self.connections, lambda c: (end(c.source), end(c.target))
+        ).items():
+            if source not in changed and target not in changed:
+                kept += wires
+                continue
+            names = Port(*source), Port(*target)
+            whole = before.pairs(*map(str, names)) if source in arrays and target in arrays else None
+            if whole != [(c.source, c.target) for c in wires]:
+                gone = [p for c in wires for p in (c.source, c.target) if not self.find(str(p))]
+                if gone:
+                    raise Problem(f"{wires[0]}: {gone[0]} is not an element since the size has changed")
+                kept += wires
+                continue
+            kept += [Connection(*pair, wires[0].map) for pair in self.pairs(*map(str, names)) or ()]
+        inlets = {n: i for n, i in self.inputs.items() if all(self.find(str(p)) for p, _ in i.targets)}
+        outlets = {
+            n: o for n, o in self.outputs.items() if not o.source.component or self.find(str(o.source))
+        }
+        return replace(self, connections=tuple(kept), inputs=inlets, outputs=outlets)
+
+    def check_sizes(self, driven: Iterable[Port]) -> None:
+        """Raise Problem if the elements of an array of another size than that of the FMU lack start values."""
+        fed = {c.target for c in self.connections} | {*driven}
+        for c in self.components.values():
+            for array in c.interface.arrays.values():
+                if array.starts is None and any(array.sizes) and array.settable and array.initial != "approx":
+                    lacking = [e for e in array.elements if e not in c.start and Port(c.name, e) not in fed]
+                    if lacking:
+                        shape = f"({', '.join(map(str, array.shape))})"
+                        expected = f"expected start values of all its elements, got none of {lacking[0]}"
+                        raise Problem(f"{c.name}.{array.name} has the shape {shape} now: {expected}")
+
     def _inputs(self, name: str) -> list[Port]:
         """The component inputs of one name."""
         return [port for port in self.ports("input") if port.variable == name]
@@ -403,10 +499,13 @@ class System:
 
         origin   where the values come from, for `Component.origins`
         """
+        sizes, others = self.sizes(values)
+        if sizes and others:  # first, as they change the names of elements
+            return self.with_start(sizes, origin).with_start(others, origin)
         connected = {c.target: c for c in self.connections}
         start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
         replaced: list[Connection] = []
-        for name, given in values.items():
+        for name, given in self._elements(values):
             given = self.inputs[name].number(given) if name in self.inputs else given
             if self.passed(name):
                 value, to_unit = self._without_unit(name, port := Port("", name), given)
@@ -437,7 +536,13 @@ class System:
         """The system with start values by component; the component "" has inputs that are passed on."""
         components = {n: c.with_start(start[n], origin) for n, c in self.components.items()}
         inputs = {n: replace(i, start=start[""].get(n, i.start)) for n, i in self.inputs.items()}
-        return replace(self, components=components, inputs=inputs)
+        return replace(self, components=components, inputs=inputs)._rewired(self)
+
+    def sizes(self, values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Those of some values that set structural parameters, and the others."""
+        ports = {name: self.find(name) for name in values}
+        sizes = {n for n, p in ports.items() if p and self.variable(p).causality == "structuralParameter"}
+        return {n: values[n] for n in values if n in sizes}, {n: values[n] for n in values if n not in sizes}
 
     def _without_unit(
         self, name: str, port: Port, given: Value | str

@@ -80,7 +80,7 @@ typedef struct Access { /* one FMI call that gets or sets several variables */
     const int32_t *orders;      /* orders of derivatives; NULL for values */
     void *fmu_values, *values;  /* in the type of the FMU, and in the array of the run; the same if the types agree */
     int32_t *call; /* the call of this instance that is in progress, readable after a crash; 0: none */
-    int32_t count, fmi, type, array, sets, function_number;
+    int32_t count, reference_count, fmi, type, array, sets, function_number; /* of values, and of variables */
 } Access;
 
 typedef struct ExchangeCall { /* one FMI call in Model Exchange */
@@ -119,6 +119,7 @@ typedef struct Derivative { /* directional derivative of the unknowns when the k
     double *seed, *result;
     int32_t *call;
     int32_t fmi, unknown_count, known_count, index, function_number;
+    int32_t unknown_references, known_references; /* variables, of which each has one value or several */
 } Derivative;
 
 typedef struct LoopMember { /* a component in an algebraic loop; first_...: its first index in the loop's u and y */
