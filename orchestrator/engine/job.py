@@ -150,7 +150,7 @@ class Job:
         if coupling.method.own:
             options = {**options, "isolate": False}
         step, start, stop = (options.get(name) for name in ("step", "start", "stop"))
-        (trace, label, file), set_values = given, options.get("set") or {}
+        (trace, label, file), set_values = given, dict(system.by_element(options.get("set") or {}))
         if fault := options.get("fault"):
             ends = time_span(system, trace, start, stop)
             trace, label = with_changes(system, trace, fault, ends[:2]), label if trace else "fault"

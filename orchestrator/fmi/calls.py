@@ -126,7 +126,7 @@ def from_ctypes(variable: FmuVariable, value: Any) -> Value:
     """The value of an element of a ctypes array."""
     if variable.kind == "String":
         return (value or b"").decode(errors="replace")
-    return bool(value) if variable.kind == "Boolean" else value  # type: ignore[no-any-return]
+    return bool(value) if variable.kind == "Boolean" else value
 
 
 OUT_OF_RANGE = -1  # status of a call from C: an integer is out of the range of the target type

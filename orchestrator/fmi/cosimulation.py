@@ -300,7 +300,7 @@ class RunningFmu:
         self._call_whole("Get", whole, cells)
         return [from_ctypes(whole, cell) for cell in cells]
 
-    def set(self, variable: str, value: Value | Sequence[Value]) -> None:
+    def set(self, variable: str, value: Any) -> None:
         """Set one variable of any type, or an array by the values of all its elements.
 
         If it is not continuous, in event mode if there is one.
@@ -315,7 +315,7 @@ class RunningFmu:
             return
         self._set(declared, value)
 
-    def _set(self, declared: FmuVariable, value: Value | Sequence[Value]) -> None:
+    def _set(self, declared: FmuVariable, value: Any) -> None:
         whole, values = declared.array or declared, [value]
         if declared.array:
             values = [*self._values(whole)]

@@ -404,9 +404,7 @@ class ModelDescription(Entry):
         """The description with other values of structural parameters, by value reference."""
         sized = {v: v.sized(lengths) for v in self.variables}
         structure = {
-            section: tuple(
-                replace(u, variable=sized.get(u.variable, None) if u.variable else None) for u in of
-            )
+            section: tuple(replace(u, variable=sized.get(u.variable) if u.variable else None) for u in of)
             for section, of in self.structure.items()
         }
         by_key = {key: sized[v] for key, v in self.by_key.items()}

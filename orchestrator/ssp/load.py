@@ -33,9 +33,9 @@ from orchestrator.ssp.system_structure import (
     DEFINITION,
     SINKS,
     FlatStructure,
-    whole_of,
     read_structure,
     signal_paths,
+    whole_of,
 )
 from orchestrator.ssp.terminals import Terminals
 

@@ -289,7 +289,7 @@ class System:
             raise Problem(f"{source} -> {target}: expected equal shapes, got {got}")
         return [*zip(sources, targets, strict=True)]
 
-    def _elements(self, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    def by_element(self, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         """Values by name, those of arrays by element; an array has a list, or a text of one."""
         for name, given in values.items():
             if not (array := self.array(name)):
@@ -303,8 +303,8 @@ class System:
     def _rewired(self, before: System) -> System:
         """The system with connections of arrays whose sizes have changed."""
         arrays = {(n, a) for n, c in before.components.items() for a in c.interface.arrays}
-        now = {(n, a): self.components[n].interface.arrays[a].shape for n, a in arrays}
-        changed = {k for k in arrays if before.components[k[0]].interface.arrays[k[1]].shape != now[k]}
+        was, now = ({n: c.interface.arrays for n, c in s.components.items()} for s in (before, self))
+        changed = {(n, a) for n, a in arrays if a not in now[n] or was[n][a].shape != now[n][a].shape}
         if not changed:
             return self
 
@@ -335,7 +335,7 @@ class System:
         return replace(self, connections=tuple(kept), inputs=inlets, outputs=outlets)
 
     def check_sizes(self, driven: Iterable[Port]) -> None:
-        """Raise Problem if the elements of an array of another size than that of the FMU lack start values."""
+        """Raise Problem if an array of another size than that of the FMU lacks start values."""
         fed = {c.target for c in self.connections} | {*driven}
         for c in self.components.values():
             for array in c.interface.arrays.values():
@@ -505,7 +505,7 @@ class System:
         connected = {c.target: c for c in self.connections}
         start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
         replaced: list[Connection] = []
-        for name, given in self._elements(values):
+        for name, given in self.by_element(values):
             given = self.inputs[name].number(given) if name in self.inputs else given
             if self.passed(name):
                 value, to_unit = self._without_unit(name, port := Port("", name), given)

@@ -52,7 +52,7 @@ MAX_PARTS, MAX_DEPTH = 10_000, 50
 
 
 class ConnectorType(NamedTuple):
-    """The declaration of a connector in a file; items: of its enumeration; shape: of an array, as declared."""
+    """The declaration of a connector in a file; shape: sizes of an array; items: of an enumeration."""
 
     kind: str | None = None
     unit: DeclaredUnit | None = None
@@ -450,8 +450,8 @@ def _elements(flat: FlatStructure, system: System, end: Port) -> list[Port]:
         ):
             got = f"({', '.join(a or '?' for a in sizes)}) and ({', '.join(map(str, shape))})"
             raise Problem(f"{connector}: expected a Dimension for each size of the array, got {got}")
-    indices = (p.variable.rpartition("[")[2] for p in system.array([*shapes][0])[1])  # type: ignore[index]
-    return [_element(end, i) for i in indices]
+    shape, elements = system.array(next(iter(shapes))) or ((), [])
+    return [_element(end, e.variable.rpartition("[")[2]) for e in elements]
 
 
 def _path_to(flat: FlatStructure, end: Port) -> SignalPath:
