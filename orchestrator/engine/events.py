@@ -12,8 +12,10 @@ states are updated, until nothing changes. Afterwards inputs, extrapolations and
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from ctypes import c_double
 from math import ulp
+from typing import Any
 
 import numpy as np
 
@@ -76,6 +78,15 @@ class Instants:
     def begin(self) -> None:
         """The first instant, at the start."""
         self._instant(self._times.start)
+
+    def saved(self) -> list[Any]:
+        """The events so far, for a saved run."""
+        return [self._time, self._close, [(e.time, e.causes) for e in self.happened]]
+
+    def resume(self, saved: Sequence[Any]) -> None:
+        """Go on from a saved run."""
+        self._time, self._close, events = saved
+        self.happened = [Event(time, tuple(causes)) for time, causes in events]
 
     def __call__(self, t: float, never: bool) -> None:
         """An instant at a time [s]; never: an FMU stops at other times whenever the step is repeated."""

@@ -225,7 +225,8 @@ def run_to_file(
     given = checked(RunArguments, options, "run")
     loaded, source, asked = begun(require_system(system), scenario, {"progress": True, **given})
     choices, step = take_coupling({**asked}), asked.get("step")
-    if default_accuracy and "accuracy" not in asked and chooses_freely(loaded, step, choices):
+    parts = {"accuracy", "save_state", "resume"} & asked.keys()
+    if default_accuracy and not parts and chooses_freely(loaded, step, choices):
         asked = {**asked, "accuracy": default_accuracy}
     if "record_step" not in asked:
         coupled = loaded.coupled(choices) if choices else loaded

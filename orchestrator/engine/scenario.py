@@ -390,7 +390,7 @@ class DrivenInputs:
     def fill(self, binding: Binding, inputs: Sequence[int]) -> Any:
         """Fill the C structure, and return it; inputs: index of each continuous input among all inputs."""
         struct = binding.h.Scenario(
-            **self.members(binding.at, inputs),
+            **self.members(binding.constant, inputs),
             **binding.all_at(self, "at_end at_midpoint"),
             evaluated_at=np.nan,
             since=np.nan,

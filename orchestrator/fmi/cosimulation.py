@@ -88,8 +88,8 @@ class RunningFmu:
             call()
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
-        """Announce the experiment; times in [s]."""
-        self.fmu.setup(start, stop, tolerance)
+        """Announce the experiment; times in [s], an infinite stop time is none."""
+        self.fmu.setup(start, stop if np.isfinite(stop) else None, tolerance)
 
     def enter(self) -> None:
         """Enter initialisation mode."""
@@ -108,6 +108,20 @@ class RunningFmu:
             with suppress(Problem):
                 self.fmu.call("Terminate")
         self._cleanup.close()
+
+    def saved(self) -> dict[str, Any]:
+        """Its serialised state and what this project adds, as arrays, for another process."""
+        state = self.fmu.save()
+        data = self.fmu.serialize(state)
+        self.fmu.free_state(state)
+        return {"state": np.frombuffer(data, np.uint8), "next_event": self.next_event}
+
+    def resume(self, saved: Mapping[str, Any]) -> None:
+        """Go on from a state of `saved`."""
+        state = self.fmu.deserialize(bytes(saved["state"]))
+        self.fmu.restore(state)
+        self.fmu.free_state(state)
+        self.next_event = float(saved["next_event"])
 
     def after_rollback(self) -> None:
         """Discard the messages and the status of a step that will be repeated from a saved state."""

@@ -407,6 +407,7 @@ typedef struct Simulation {
     const double *divided; /* communication points between those of equal steps */
     int64_t divided_count, next_divided[WIDTH];
     double start, step, shorter, patience;
+    double pause; /* simulation_advance returns there, or where it is beyond it [s] */
     double spent, counted; /* time in all calls of simulation_advance, in [s] and in ticks */
     double tick;           /* their ratio; 0 before the first call */
     int64_t total, done, steps, all_passes, repeated;

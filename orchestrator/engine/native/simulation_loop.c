@@ -344,7 +344,7 @@ int32_t simulation_advance(Simulation *sim) {
     while (!verdict && sim->done < sim->total && sim->recorder.filled < sim->recorder.capacity) {
         verdict = next_step(sim);
         const double spent = sim->tick > 0.0 ? (ticks() - first) * sim->tick : seconds() - began;
-        if (sim->diverged || errors_are_full(sim->errors) || spent > sim->patience) break;
+        if (sim->diverged || errors_are_full(sim->errors) || spent > sim->patience || sim->t >= sim->pause) break;
     }
     sim->spent += seconds() - began, sim->counted += ticks() - first;
     if (sim->counted > 0.0) sim->tick = sim->spent / sim->counted;
