@@ -20,13 +20,15 @@ from typing import Any
 import numpy as np
 
 from orchestrator.base.errors import Problem
+from orchestrator.engine.clocks import Clocks
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.network import Network
 from orchestrator.engine.result import Event
 from orchestrator.engine.stepped_fmu import SteppedFmu
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.fmi.instance import settle
+from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled, settle
+from orchestrator.ssp.dependencies import locates_events
 from orchestrator.ssp.system import Port
 
 TIME_TOLERANCE = 1e-11  # of the time of an event [s], and
@@ -50,7 +52,7 @@ class Instants:
         }
         for slave in self._members.values():
             if isinstance(slave, SteppedFmu):
-                slave.stops = slave.interface.declares_events
+                slave.stops = slave.interface.declares_events and locates_events(network.system)
         for name, component in network.components.items():
             struct, interface = component.struct, component.slave.interface
             struct.events = name in self._members
@@ -66,6 +68,7 @@ class Instants:
                 s.at_end = interface.event_mode and (near if s.fmu_degree and states else exact)
         self.happened = list[Event]()
         self._close, self._latest = 0, deque[str](maxlen=10)
+        self._clocks: Clocks | None = None
         self._time = times.start
 
     def fill(self) -> None:
@@ -76,16 +79,21 @@ class Instants:
         state.tolerance = max(min(TIME_TOLERANCE, SHARE_OF_STEP * self._times.step), rounding)
 
     def begin(self) -> None:
-        """The first instant, at the start."""
+        """The first instant, at the start, from which on clocks tick."""
+        if any(slave.interface.has_clocks for slave in self._members.values()):
+            self._clocks = Clocks(self._network, self._times.start)
         self._instant(self._times.start)
 
     def saved(self) -> list[Any]:
         """The events so far, for a saved run."""
-        return [self._time, self._close, [(e.time, e.causes) for e in self.happened]]
+        clocks = self._clocks.saved() if self._clocks else []
+        return [self._time, self._close, [(e.time, e.causes) for e in self.happened], clocks]
 
     def resume(self, saved: Sequence[Any]) -> None:
         """Go on from a saved run."""
-        self._time, self._close, events = saved
+        self._time, self._close, events, clocks = saved
+        if self._clocks:
+            self._clocks.resume(clocks)
         self.happened = [Event(time, tuple(causes)) for time, causes in events]
 
     def __call__(self, t: float, never: bool) -> None:
@@ -115,7 +123,26 @@ class Instants:
             raise Problem(f"{names}: t = {t:.9g} s: {expected} (chattering)")
 
     def _instant(self, t: float) -> list[str]:
-        """Take all members through event mode; returns the signals, not continuous, that have changed."""
+        """Take all members through event mode; returns the signals, not continuous, that have changed.
+
+        Ticks at one time that are not due together, as those after a countdown of 0, follow each other.
+        """
+        if not self._clocks:
+            return self._once(t)
+        state, changed = self._network.binding.simulation.events, list[str]()
+        for _ in range(MAX_EVENT_ITERATIONS):
+            due = self._clocks.begin(t, state.tolerance)
+            changed += [*map(str, due), *self._once(t)]
+            self._clocks.finish()
+            if self._clocks.next > t + state.tolerance:
+                state.next = min(state.next, self._clocks.next)
+                return [*dict.fromkeys(changed)]
+        names = ", ".join(map(str, due))
+        raise Unsettled(
+            f"{names}: t = {t:.9g} s: expected time to pass between ticks, got {MAX_EVENT_ITERATIONS}"
+        )
+
+    def _once(self, t: float) -> list[str]:
         changed = dict[str, None]()
 
         def copied() -> list[str]:
@@ -141,6 +168,7 @@ class Instants:
     def _copied(self, t: float) -> list[str]:
         """Copy values along all connections; returns the signals, not continuous, that have changed."""
         network, found = self._network, list[str]()
+        texts = len(network.texts.changes)
         network.binding.call("simulation_exchange", c_double(t))
         for array in (network.reals, network.integers):
             ports, before = network.discrete[array.name]
@@ -150,7 +178,9 @@ class Instants:
         if found:
             for call in network.instant_calls:
                 call()
-        return found
+        if self._clocks:
+            found += self._clocks.propagate()
+        return [*found, *(name for _, name, _ in network.texts.changes[texts:])]
 
     def _source(self, port: Port) -> Port:
         return next((c.source for c in self._network.connections if c.target == port), port)

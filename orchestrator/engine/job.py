@@ -232,7 +232,7 @@ class Job:
         times, adaptive, simulated = self.times, self.coupling.adaptive, end.t - self.times.start
         interfaces = {name: component.interface for name, component in self.system.components.items()}
         left_out = (f"{n}: {i.unsupported_note}" for n, i in interfaces.items() if i.unsupported)
-        same = ("steps", "passes", "repeated", "lengths", "wall", "bonds", "inside", "events")
+        same = ("steps", "passes", "repeated", "lengths", "wall", "bonds", "inside", "events", "texts")
         errors = relative_errors(end.errors, trace, self.system.nominals)
         card = Card(
             master=self.coupling.text,

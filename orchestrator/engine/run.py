@@ -278,7 +278,7 @@ class _Output:
         complete, digest = file.finish(check)
         metadata = metadata_text(result, digest, self._given, file.layout)
         file.publish(complete, {metadata_file(file.path): metadata})
-        write_events(result.events, file.path)
+        write_events(result.card, file.path)
         self._complete, self.line = result, self._summary(result.card, file.path)
 
     def explain(self, error: Exception, result: Result | None) -> None:

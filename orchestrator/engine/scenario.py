@@ -308,7 +308,7 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearT
         ) from None
     for port, _ in targets:
         variable = system.variable(port)
-        if (variable.causality != "input" and not _tunable(variable)) or variable.kind == "String":
+        if (variable.causality != "input" and not _tunable(variable)) or not variable.is_number:
             got = f"{variable.kind} {variable.causality}{f' {port}' * (name != str(port))}"
             raise Problem(f"{label}: column {name!r}: expected an input or a tunable parameter, got a {got}")
     return targets

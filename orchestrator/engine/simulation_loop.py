@@ -39,7 +39,7 @@ from orchestrator.engine.saved_run import check as check_saved
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.ssp.dependencies import influential_events, late_notes, uses_events
+from orchestrator.ssp.dependencies import influential_events, late_notes, locates_events, uses_events
 from orchestrator.ssp.masters import plan_with_events
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.system import Port, System
@@ -99,6 +99,7 @@ def run_job(
             errors=loop.errors.errors() if loop.errors else {},
             inside=loop.inside,
             events=loop.events,
+            texts=tuple(network.texts.changes),
             logs=tuple(copy(s.log) for s in network.slaves.values()),
             notes=network.notes + job.times.notes + loop.notes + loop.recorder.notes,
             problem=problem,
@@ -152,15 +153,18 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
     selected = None if signals is None else [job.system.port(name) for name in signals]
     library()  # raises Problem if there is none, before any FMU is opened
     _check_instances(job.system)
-    events = uses_events(job.system, job.coupling)
+    events, located = uses_events(job.system, job.coupling), locates_events(job.system)
     with ExitStack() as stack:
         slaves: dict[str, Slave] = {}
         binding = Binding(allocate)
         stack.callback(binding.restore_environment)
         with archive_kept_open():
             for name, component in job.system.components.items():
-                if component.interface.event_mode and not events:
-                    component = replace(component, interface=replace(component.interface, event_mode=False))
+                face = component.interface
+                if face.event_mode and not (events and (located or face.has_clocks)):
+                    component = replace(component, interface=replace(face, event_mode=False))
+                elif face.has_clocks and not located:
+                    component = replace(component, interface=replace(face, early_return=False))
                 slaves[name] = slave = job.options.get("open", open_slave)(component)
                 stack.callback(slave.close)
                 binding.restore_environment(slave)
@@ -345,7 +349,9 @@ class SimulationLoop:
 
     def saved(self) -> dict[str, Any]:
         """What a saved state has of the loop besides its memory."""
-        return {"t": self.state.t, "events": [*self._instants.saved()] if self._instants else []}
+        texts = [[str(port), text] for port, text in self.network.texts.last.items()]
+        events = self._instants.saved() if self._instants else []
+        return {"t": self.state.t, "events": events, "texts": texts, "changes": self.network.texts.changes}
 
     def restore(self, memory: Sequence[NDArray[Any]], saved: Mapping[str, Any]) -> None:
         """Go on from a saved state, whose FMUs follow."""
@@ -356,6 +362,9 @@ class SimulationLoop:
             )
         for part, content in zip(parts, memory, strict=True):
             part[:] = content.view(part.dtype)
+        texts, system = self.network.texts, self.network.system
+        texts.last = {system.port(name): text for name, text in saved["texts"]}
+        texts.changes = [(t, name, text) for t, name, text in saved["changes"]]
         if self._instants:
             self._instants.resume(saved["events"])
         self.recorder.resume()
@@ -385,6 +394,7 @@ class SimulationLoop:
         for slave in self.network.slaves.values():
             slave.log.time = self.state.t
             slave.after_rollback()
+        self.network.texts.withdraw(self.state.t)
 
     # ---- structures for C
 

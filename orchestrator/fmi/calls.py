@@ -113,7 +113,7 @@ def address(values: Buffer) -> ctypes.c_void_p:
 
 def to_ctypes(variable: FmuVariable, ctype: Any, value: Value) -> Any:
     """A value as an element of an array of a ctypes type."""
-    if variable.kind == "String":
+    if variable.kind in TEXTS:
         return str(value).encode()
     if variable.is_real:
         return float(value)
@@ -124,11 +124,12 @@ def to_ctypes(variable: FmuVariable, ctype: Any, value: Value) -> Any:
 
 def from_ctypes(variable: FmuVariable, value: Any) -> Value:
     """The value of an element of a ctypes array."""
-    if variable.kind == "String":
+    if variable.kind in TEXTS:
         return (value or b"").decode(errors="replace")
     return bool(value) if variable.kind == "Boolean" else value
 
 
+TEXTS = ("String", "Binary")  # kinds of values that are no numbers; a Binary is a text of hexadecimal digits
 OUT_OF_RANGE = -1  # status of a call from C: an integer is out of the range of the target type
 
 

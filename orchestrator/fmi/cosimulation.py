@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
+from fractions import Fraction
 from functools import partial
 from typing import Any
 
@@ -310,6 +311,11 @@ class RunningFmu:
         """The values of an array or a scalar; before the initialisation mode those that were set."""
         if whole.name in self._given:
             return self._given[whole.name]
+        if whole.kind == "Binary":
+            pointers, sizes = (ctypes.c_void_p * whole.size)(), (ctypes.c_size_t * whole.size)()
+            references = self.fmu.references([whole.reference])
+            self.fmu.call("GetBinary", *references, sizes, *self.fmu.values(pointers, whole.size))
+            return [ctypes.string_at(p, n).hex() if p else "" for p, n in zip(pointers, sizes, strict=True)]
         cells = (self.fmu.types[whole.function_type] * whole.size)()
         self._call_whole("Get", whole, cells)
         return [from_ctypes(whole, cell) for cell in cells]
@@ -338,6 +344,12 @@ class RunningFmu:
             values = [*value]
             self._given[declared.name] = values
         ctype = self.fmu.types[whole.function_type]
+        if whole.kind == "Binary":
+            data = [bytes.fromhex(str(v)) for v in values]
+            sizes = (ctypes.c_size_t * len(data))(*map(len, data))
+            references, cells = self.fmu.references([whole.reference]), (ctype * len(data))(*data)
+            self.fmu.call("SetBinary", *references, sizes, *self.fmu.values(cells, len(data)))
+            return
         cells = (ctype * len(values))(*(to_ctypes(declared, ctype, v) for v in values))
         self._call_whole("Set", whole, cells)
 
@@ -349,6 +361,35 @@ class RunningFmu:
         self.fmu.call("ExitConfigurationMode")
 
     # ---- event mode
+
+    def tick(self, clock: str) -> None:
+        """Let an input clock tick, in event mode."""
+        references = self.fmu.references([self.interface.variables[clock].reference])
+        self.fmu.call("SetClock", *references, (ctypes.c_bool * 1)(True), variables=[clock])
+
+    def ticks(self, clock: str) -> bool:
+        """Does an output clock tick?"""
+        references, ticks = (
+            self.fmu.references([self.interface.variables[clock].reference]),
+            (ctypes.c_bool * 1)(),
+        )
+        self.fmu.call("GetClock", *references, ticks, variables=[clock])
+        return ticks[0]
+
+    def interval(self, clock: FmuVariable) -> tuple[int, Fraction]:
+        """fmi3IntervalQualifier and interval of a clock [s], as a fraction if the FMU has them."""
+        references, qualifiers = self.fmu.references([clock.reference]), (ctypes.c_int * 1)()
+        if clock.get("supportsFraction") == "true":
+            counters, resolutions = (ctypes.c_uint64 * 1)(), (ctypes.c_uint64 * 1)(1)
+            self.fmu.call(
+                "GetIntervalFraction", *references, counters, resolutions, qualifiers, variables=[clock.name]
+            )
+            return qualifiers[0], Fraction(counters[0], resolutions[0] or 1)
+        intervals = (ctypes.c_double * 1)()
+        self.fmu.call("GetIntervalDecimal", *references, intervals, qualifiers, variables=[clock.name])
+        if not np.isfinite(intervals[0]):
+            raise Problem(f"{self.name}.{clock.name}: expected an interval in seconds, got {intervals[0]}")
+        return qualifiers[0], Fraction(repr(intervals[0]))
 
     def enter_events(self) -> None:
         """Enter event mode, at the end of a step."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cached_property
 from itertools import product
 
@@ -27,7 +28,7 @@ TYPES = (*NUMERIC, "String", "Binary", "Clock")
 KINDS = {  # type -> type in FMI 2.0, for those that can be run
     **dict.fromkeys(FLOATS, "Real"),
     **dict.fromkeys((*SIGNED, *UNSIGNED), "Integer"),
-    **{kind: kind for kind in ("Boolean", "String", "Enumeration")},
+    **{kind: kind for kind in ("Boolean", "String", "Enumeration", "Binary", "Clock")},
 }
 MAX_LOCALS = 100  # local variables that are observed if the FMU has no outputs
 BOOLEANS = {"true": 1.0, "false": 0.0}
@@ -185,7 +186,7 @@ class FmuVariable(Entry):
 
     @property
     def kind(self) -> str:
-        """The type in FMI 2.0: Real, Integer, Boolean, String or Enumeration; empty for other types."""
+        """The type in FMI 2.0: Real, Integer, Boolean, String or Enumeration; Binary or Clock."""
         return KINDS.get(self.type, "")
 
     @property
@@ -218,7 +219,7 @@ class FmuVariable(Entry):
     @property
     def is_continuous(self) -> bool:
         """True for a real variable that can change inside a step, which is neither discrete nor tunable."""
-        return self.is_real and self.variability == "continuous"
+        return self.is_real and self.variability == "continuous" and not self.clocks
 
     @property
     def is_number(self) -> bool:
@@ -232,8 +233,20 @@ class FmuVariable(Entry):
         )
 
     @property
+    def clocks(self) -> tuple[int | None, ...]:
+        """The value references of the clocks that it belongs to."""
+        return tuple(map(parse_int, self.get("clocks").split()))
+
+    @property
     def clocked(self) -> bool:
         return bool(self.get("clocks")) or self.type == "Clock"
+
+    def fraction(self, name: str) -> Fraction | None:
+        """`interval` or `shift` of a clock [s], exactly as it is declared; None if it is not."""
+        if decimal := self.get(f"{name}Decimal"):
+            return Fraction(decimal)
+        counter, resolution = parse_int(self.get(f"{name}Counter")), parse_int(self.get("resolution"))
+        return None if counter is None or not resolution else Fraction(counter, resolution)
 
     @property
     def description(self) -> str:

@@ -172,6 +172,10 @@ class FmuInterface:
         dependencies = [self.dependencies.get(rate) for rate in self.states.values()]
         return any(names is None or variable in names for names in dependencies)
 
+    @cached_property
+    def has_clocks(self) -> bool:
+        return any(v.kind == "Clock" for v in self.variables.values())
+
     @property
     def has_events(self) -> bool:
         """May the FMU have events inside a step, as far as its description says?"""
@@ -287,7 +291,9 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
             )
     variables = {v.name: v for v in scalars}
     _check_identity(description, capabilities)
-    _check(variables, unsupported, declared)
+    _check(
+        variables, unsupported, declared, element == CO_SIMULATION and capabilities.declares("hasEventMode")
+    )
     inputs = {name for name, v in variables.items() if v.causality == "input"}
     outputs, derivatives, initial = (
         _dependencies(description, description.structure[section])
@@ -337,8 +343,6 @@ def _with_aliases(description: ModelDescription) -> Iterator[FmuVariable]:
 
 def _unsupported_type(v: FmuVariable) -> str:
     """The type of an unsupported variable, for messages; empty for supported variables."""
-    if v.clocked:
-        return "a clock" if v.type == "Clock" else f"a clocked {v.type}"
     if not v.kind:
         return f"a variable of type {v.type}"
     if None in v.shape or v.size > MAX_ELEMENTS:
@@ -348,12 +352,22 @@ def _unsupported_type(v: FmuVariable) -> str:
 
 
 def _check(
-    variables: Mapping[str, FmuVariable], unsupported: Mapping[str, str], declared: Iterable[FmuVariable]
+    variables: Mapping[str, FmuVariable],
+    unsupported: Mapping[str, str],
+    declared: Iterable[FmuVariable],
+    event_mode: bool,
 ) -> None:
-    """Refuse an FMU that cannot be run: with clocks, without numbers, or with a time not in seconds."""
-    for name, type_ in unsupported.items():
-        if "clock" in type_:  # such an FMU needs event mode
-            raise Problem(f"{name} is {type_}: expected an FMU without clocks, they are not supported")
+    """Refuse an FMU that cannot be run: clocks without event mode, no numbers, a time not in seconds."""
+    for v in variables.values():
+        try:
+            if v.clocked and not event_mode:
+                raise Problem(
+                    f"{v.name} has a clock: expected Co-Simulation with event mode, got an FMU without"
+                )
+            if v.kind == "Clock" and [p for n in ("interval", "shift") if (p := v.fraction(n) or 0) < 0]:
+                raise ValueError(f"{v.get('intervalDecimal') or v.get('shiftDecimal')!r}")
+        except ValueError as error:
+            raise Problem(f"{v}: expected interval and shift of a clock in seconds, got {error}") from None
     ports = [v.name for v in declared if v.causality in ("input", "output")]
     if ports and all(name in unsupported for name in ports):
         first = f"{ports[0]} is {unsupported[ports[0]]}"

@@ -123,7 +123,22 @@ def uses_events(system: System, coupling: "Coupling") -> bool:
     A single FMU does. Several need to go back to the beginning of a step, so that it is repeated until it
     ends at its first event. Otherwise events take place inside of the FMUs.
     """
+    if clock := _clock(system):
+        if coupling.method.step:
+            got = f"got {coupling.method.name}, which takes the steps itself"
+            raise Problem(f"{clock}: expected a master with a plan for an FMU with clocks, {got}")
+        return True
     return not coupling.method.step and _would_use_events(system) and not _fixed(system)
+
+
+def _clock(system: System) -> str:
+    """A component with clocks, which needs event mode; or nothing."""
+    return next((n for n, c in system.components.items() if c.interface.has_clocks), "")
+
+
+def locates_events(system: System) -> bool:
+    """Can steps be repeated until they end at an event? Otherwise only clocks have instants."""
+    return not _fixed(system)
 
 
 def _would_use_events(system: System) -> bool:
@@ -283,13 +298,20 @@ class Feedthrough:
     def __init__(self, system: System, initially: bool = False) -> None:
         """initially: dependencies in initialisation mode; default: those of the run."""
         self._system, self._initially = system, initially
-        source = {c.target: c.source for c in system.connections}
+        source = {c.target: c.source for c in system.connections if not self._is_sampled(c)}
         self.graph: dict[Port, list[Port]] = {}
         for component in system.components.values():
             for v in component.interface.variables.values():
                 if v.causality in ("output", "calculatedParameter"):
                     output = Port(component.name, v.name)
                     self.graph[output] = [source[u] for u in sorted(self.depends(output)) if u in source]
+
+    def _is_sampled(self, connection: Connection) -> bool:
+        """Does it carry values at the ticks of a clock only? Clocks themselves tick together in a run."""
+        ends = [self._system.variable(port) for port in (connection.source, connection.target)]
+        if ends[0].kind == "Clock":
+            return self._initially
+        return any(v.clocked for v in ends)
 
     def depends(self, output: Port) -> set[Port]:
         """The variables of its component that an output depends on; all if the FMU declares none."""

@@ -76,7 +76,7 @@ def _load(file: Location) -> System:
 def _single_fmu(fmu: Location) -> System:
     """A system of one FMU; the inputs of the FMU are inputs of the system."""
     component = open_component(fmu.path.stem, fmu)
-    inputs = [v for v in component.interface.of("input") if v.kind != "String"]
+    inputs = [v for v in component.interface.of("input") if v.is_number]
     inlets = {v.name: Inlet(v.name, v.unit, ((Port(component.name, v.name), IDENTITY),)) for v in inputs}
     start = component.interface.start
     return System(component.name, {component.name: component}, inputs=inlets, start=start, source=fmu)

@@ -99,7 +99,7 @@ class Component:
         if variable in self.start:
             return self.start[variable]
         if declared.start is None:
-            return "" if declared.kind == "String" else float("nan")
+            return float("nan") if declared.is_number else ""
         return coerce(f"{self.name}.{variable}", declared, declared.start)
 
     def has_start(self, variable: str) -> bool:
@@ -126,7 +126,7 @@ class Connection:
     def carried(self, value: Value, to: FmuVariable) -> Value:
         """The value of the target if that of the source is `value`."""
         if self.map == IDENTITY:
-            return to.typed(value)
+            return to.typed(value) if to.is_number else value
         if to.is_real:
             return self.map(float(value))
         whole, table = int(value), dict(self.map.table)  # 64 bits, which a float64 does not have
@@ -455,7 +455,7 @@ class System:
     def open(self) -> Mapping[str, Inlet]:
         """Component inputs that have no source, by variable name."""
         fed = {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
-        unfed = [p for p in self.ports("input") if p not in fed and self.variable(p).kind != "String"]
+        unfed = [p for p in self.ports("input") if p not in fed and self.variable(p).is_number]
         return {
             name: Inlet(name, self.unit(ports[0]), tuple((p, self._conversion(p)) for p in ports))
             for name, ports in grouped(unfed, lambda port: port.variable).items()
@@ -466,7 +466,7 @@ class System:
         """Component inputs that are fed by an input of the system, or have no source."""
         inlets = [*self.inputs.values(), *self.open.values()]
         ports = [port for inlet in inlets for port, _ in inlet.targets]
-        return [p for p in ports if (v := self.variable(p)).causality == "input" and v.kind != "String"]
+        return [p for p in ports if (v := self.variable(p)).causality == "input" and v.is_number]
 
     def variable(self, port: Port) -> FmuVariable:
         """The declaration of a port, or of an input of the system."""
@@ -622,7 +622,7 @@ def _is_number_to_set(variable: FmuVariable, dimension: object) -> bool:
     """Is this a parameter that is a number of this dimension? Without a defined unit it is of any."""
     same = dimension is None or variable.unit is None or variable.unit.dimension in (None, dimension)
     is_parameter = variable.causality == "parameter" and variable.settable
-    return is_parameter and same and variable.kind not in ("String", "Boolean")
+    return is_parameter and same and variable.kind != "Boolean" and variable.is_number
 
 
 def check_settable(port: Port, interface: FmuInterface) -> None:
@@ -658,6 +658,8 @@ def coerce(
             return float(f"{value:.15g}") if linear.offset and typed else value
         if variable.kind == "String":
             return str(value)
+        if variable.kind == "Binary":
+            return bytes.fromhex(text).hex()
         if variable.kind == "Boolean":
             return bool(linear({"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}[text.lower()]))
         number = variable.items[text] if text in variable.items else integer(text)
@@ -675,7 +677,10 @@ def open_component(name: str, fmu: Location, kind: str = "") -> Component:
 
 
 # type of an output -> types of the inputs that take it
-WIDER = {"Real": ("Real",), "Integer": ("Integer", "Real"), "Boolean": ("Boolean", "Integer", "Real")}
+WIDER = {
+    **{kind: (kind,) for kind in ("Real", "String", "Binary", "Clock")},
+    **{"Integer": ("Integer", "Real"), "Boolean": ("Boolean", "Integer", "Real")},
+}
 
 
 def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
@@ -686,13 +691,18 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
     items = u.kind == "Enumeration" and y.value_type == "Boolean"
     if items or u.value_type not in WIDER.get(y.value_type, ()):
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
+    if u.kind == "Clock" and u.get("intervalVariability") != "triggered":
+        got = f"{u.get('intervalVariability')} {target}, which ticks by time"
+        raise Problem(f"{connection}: expected a triggered clock at the end, got the {got}")
     check_map(str(connection), u, linear)
     return connection
 
 
 def check_map(where: str, variable: FmuVariable, linear: LinearTransformation) -> None:
     """Raise Problem if values of a variable cannot be transformed so."""
-    if linear != IDENTITY and (variable.kind == "String" or (variable.is_real and linear.table)):
+    if linear != IDENTITY and (
+        variable.kind in ("String", "Binary", "Clock") or (variable.is_real and linear.table)
+    ):
         expected = "a LinearTransformation" if variable.is_real else "no transformation"
         got = "a mapping of values" if linear.table else f"{linear.factor:g} x + {linear.offset:g}"
         raise Problem(f"{where}: expected {expected} of a {variable.kind}, got {got}")

@@ -177,3 +177,13 @@ def bank_fmu(file: Path) -> Path:
     text = source.with_suffix(".xml").read_text("utf-8")
     binary = library("bank", [source], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
     return packed(file, {"modelDescription.xml": text, member(3, "bank"): binary})
+
+
+def ticking_fmu(file: Path, interval: str, **changes: str) -> Path:
+    """The FMU of ticks.c, whose variables belong to clocks; interval: attributes of its clock `tick`."""
+    source = Path(__file__).with_name("ticks.c")
+    text = source.with_suffix(".xml").read_text("utf-8").replace("INTERVAL", interval)
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    binary = library("unit", [source], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
+    return packed(file, {"modelDescription.xml": text, member(3, "unit"): binary})
