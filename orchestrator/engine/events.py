@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.clocks import Clocks
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.network import Network
@@ -28,7 +29,6 @@ from orchestrator.engine.stepped_fmu import SteppedFmu
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled, settle
-from orchestrator.ssp.dependencies import locates_events
 from orchestrator.ssp.system import Port
 
 TIME_TOLERANCE = 1e-11  # of the time of an event [s], and
@@ -43,7 +43,14 @@ class Instants:
     happened   the events so far
     """
 
-    def __init__(self, network: Network, inputs: CouplingInputs, times: Grid) -> None:
+    def __init__(
+        self, network: Network, inputs: CouplingInputs, times: Grid, located: bool, sink: TraceSink
+    ) -> None:
+        """located: a step is repeated until it ends at an event; else events are at the end of steps.
+
+        sink: receives each event at once, as an FMU may end the process later
+        """
+        self._sink = sink
         self._network, self._times = network, times
         self._members: dict[str, RunningFmu] = {
             name: slave
@@ -52,7 +59,7 @@ class Instants:
         }
         for slave in self._members.values():
             if isinstance(slave, SteppedFmu):
-                slave.stops = slave.interface.declares_events and locates_events(network.system)
+                slave.stops = slave.interface.declares_events and located
         for name, component in network.components.items():
             struct, interface = component.struct, component.slave.interface
             struct.events = name in self._members
@@ -114,6 +121,7 @@ class Instants:
             struct.locates = struct.locates and (bool(changed) or t > self._time)
         causes = tuple(dict.fromkeys([*asked, *changed]))
         self.happened.append(Event(t, causes))
+        self._sink.append_events(self.happened[-1:])
         self._latest.extend(changed or asked)
         self._close = self._close + 1 if t - self._time <= CLOSE * self._times.step else 0
         self._time = t
@@ -173,7 +181,8 @@ class Instants:
         for array in (network.reals, network.integers):
             ports, before = network.discrete[array.name]
             values = array.values[array.indices(ports)]
-            found += [str(self._source(ports[i])) for i in np.flatnonzero(values != before)]
+            same = (values == before) | ((values != values) & (before != before))  # NaN stays NaN
+            found += [str(self._source(ports[i])) for i in np.flatnonzero(~same)]
             before[:] = values
         if found:
             for call in network.instant_calls:

@@ -479,7 +479,8 @@ class Texts:
 
     def __init__(self, system: System, slaves: Mapping[str, Slave]) -> None:
         of = grouped(system.connections, lambda c: c.source)
-        outputs = [p for p in system.ports("output") if system.variable(p).kind in TEXTS]
+        texts = [p for p in system.ports("output") if system.variable(p).kind in TEXTS]
+        outputs = [p for p in texts if p in of or slaves[p.component].reads(system.variable(p))]
         self._system, self._slaves = system, slaves
         self.wires = {p: [c.target for c in of.get(p, ())] for p in outputs}
         self.last = dict[Port, str]()

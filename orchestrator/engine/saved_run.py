@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
+from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -97,8 +98,6 @@ def _identity(job: Job, loop: SimulationLoop) -> dict[str, Any]:
 
 def hash_of(parts: list[str]) -> str:
     """A short hash of texts."""
-    from hashlib import sha256
-
     return sha256("\n".join(parts).encode()).hexdigest()[:12]
 
 
@@ -111,7 +110,8 @@ def save(file: Path, job: Job, loop: SimulationLoop) -> None:
     text = np.frombuffer(json.dumps(document).encode(), np.uint8)
     buffer = BytesIO()
     np.savez_compressed(buffer, document=text, **arrays)
-    write_whole(file, buffer.getvalue())
+    data = buffer.getvalue()
+    write_whole(file, sha256(data).digest() + data)
 
 
 def resume(file: Path, job: Job, loop: SimulationLoop) -> None:
@@ -143,10 +143,12 @@ def _fmus(loop: SimulationLoop) -> Iterator[RunningFmu]:
 def _read(file: Path) -> dict[str, Any]:
     """The arrays of a file; raises Problem if it is none, or is damaged."""
     with naming(file):
-        data = file.read_bytes()
+        digest, data = (content := file.read_bytes())[:32], content[32:]
     try:
-        with np.load(BytesIO(data), allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
+        if sha256(data).digest() != digest:
+            raise ValueError
+        with np.load(BytesIO(data), allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
         if json.loads(bytes(arrays["document"]))["format"] != FORMAT:
             raise KeyError
     except (

@@ -151,9 +151,14 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
     signals = job.signals
     selected = None if signals is None else [job.system.port(name) for name in signals]
+    for port in selected or ():
+        if not (variable := job.system.variable(port)).is_number:
+            raise Problem(
+                f"record {port}: expected a number, got a {variable.kind}, of which changes are told"
+            )
     library()  # raises Problem if there is none, before any FMU is opened
     _check_instances(job.system)
-    events, located = uses_events(job.system, job.coupling), locates_events(job.system)
+    events, located = uses_events(job.system, job.coupling), locates_events(job.system, job.coupling)
     with ExitStack() as stack:
         slaves: dict[str, Slave] = {}
         binding = Binding(allocate)
@@ -161,9 +166,10 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
         with archive_kept_open():
             for name, component in job.system.components.items():
                 face = component.interface
-                if face.event_mode and not (events and (located or face.has_clocks)):
+                own = bool(job.coupling.method.step)
+                if face.event_mode and not (events and (located or own or face.has_clocks)):
                     component = replace(component, interface=replace(face, event_mode=False))
-                elif face.has_clocks and not located:
+                elif face.event_mode and not located:
                     component = replace(component, interface=replace(face, early_return=False))
                 slaves[name] = slave = job.options.get("open", open_slave)(component)
                 stack.callback(slave.close)
@@ -292,7 +298,9 @@ class SimulationLoop:
         self._control = step_control(job)
         self._components = [*network.components.values()]
         self._threads_undecided = not (plan.sequential or master.step) and len(self._components) > 1
-        self._instants = Instants(network, inputs, job.times) if network.with_events else None
+        located = locates_events(job.system, job.coupling)
+        with_events = network.with_events
+        self._instants = Instants(network, inputs, job.times, located, sink) if with_events else None
         self._fill(prediction)
         if estimate and not master.step:
             errors = ErrorPropagation(network, inputs, max(job.times.every, FEWEST_STEPS))

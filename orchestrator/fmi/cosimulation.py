@@ -44,7 +44,7 @@ class RunningFmu:
     next_event   time of its next time event, as far as it has event mode between steps [s]
     """
 
-    event_mode = in_events = False
+    event_mode = in_events = _asks = False
     next_event = float("inf")
 
     def __init__(self, name: str, interface: FmuInterface, fmu: Location, after: AfterCall = None) -> None:
@@ -307,6 +307,10 @@ class RunningFmu:
         declared = self.interface.variables[variable]
         return self._values(declared.array or declared)[declared.position]
 
+    def reads(self, variable: FmuVariable) -> bool:
+        """Has its library a function that gets a variable?"""
+        return self.fmu.library.has(f"Get{variable.function_type}")
+
     def _values(self, whole: FmuVariable) -> list[Value]:
         """The values of an array or a scalar; before the initialisation mode those that were set."""
         if whole.name in self._given:
@@ -361,6 +365,11 @@ class RunningFmu:
         self.fmu.call("ExitConfigurationMode")
 
     # ---- event mode
+
+    def asks_for_event(self) -> bool:
+        """Has it asked for event mode at the end of a step since the last call?"""
+        asks, self._asks = self._asks, False
+        return asks
 
     def tick(self, clock: str) -> None:
         """Let an input clock tick, in event mode."""
@@ -575,7 +584,9 @@ class CoSimulationFmu(RunningFmu):
         if end.early:
             text = f"ended early at {at}{'' if outside else ', which was not allowed'}"
             raise Problem(self.log.error_message("the step", text))
-        if end.event:
+        if end.event and self.event_mode:
+            self._asks = True
+        elif end.event:
             text = "the FMU requests event handling by the master, which is switched off"
             self.log.add(WARNING, f"{text} (event mode is not used)")
 

@@ -123,22 +123,13 @@ def uses_events(system: System, coupling: "Coupling") -> bool:
     A single FMU does. Several need to go back to the beginning of a step, so that it is repeated until it
     ends at its first event. Otherwise events take place inside of the FMUs.
     """
-    if clock := _clock(system):
-        if coupling.method.step:
-            got = f"got {coupling.method.name}, which takes the steps itself"
-            raise Problem(f"{clock}: expected a master with a plan for an FMU with clocks, {got}")
-        return True
-    return not coupling.method.step and _would_use_events(system) and not _fixed(system)
+    clocks = any(c.interface.has_clocks for c in system.components.values())
+    return clocks or (_would_use_events(system) and (bool(coupling.method.step) or not _fixed(system)))
 
 
-def _clock(system: System) -> str:
-    """A component with clocks, which needs event mode; or nothing."""
-    return next((n for n, c in system.components.items() if c.interface.has_clocks), "")
-
-
-def locates_events(system: System) -> bool:
-    """Can steps be repeated until they end at an event? Otherwise only clocks have instants."""
-    return not _fixed(system)
+def locates_events(system: System, coupling: "Coupling") -> bool:
+    """Can steps be repeated until they end at an event? Otherwise instants are at the end of steps."""
+    return not coupling.method.step and not _fixed(system)
 
 
 def _would_use_events(system: System) -> bool:
@@ -201,7 +192,7 @@ def late_effects(system: System, coupling: "Coupling") -> str:
     """
     wires = _influential_wires(system)
     having = {name for name, component in system.components.items() if component.interface.has_events}
-    if uses_events(system, coupling):
+    if uses_events(system, coupling) and locates_events(system, coupling):
         declare = _declaring(system)
         wires = [c for c in wires if c.source.component not in declare]
     held = [c for c in wires if not system.is_continuous(c)]

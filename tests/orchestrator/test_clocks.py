@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from kit.any_fmu.models import bank_fmu, ticking_fmu
 from kit.mistakes import problem
+from zoo.faulty import faulty
 
-from orchestrator import Coupling, Master, assemble, load, run
+from orchestrator import Coupling, RunFailed, assemble, load, run
 
 DECIMAL = 'intervalVariability="constant" intervalDecimal="{}"'
 TENTH = DECIMAL.format("0.1")
@@ -128,6 +129,14 @@ def test_ticks_of_a_run_in_parts(unit, tmp_path):
     assert (rest.events, rest.texts) == (whole.events, whole.texts)
 
 
+def test_ticks_are_kept_when_the_process_dies(unit, tmp_path):
+    """Another FMU crashes at 0.5 s: the events until then, as its rows."""
+    system = assemble({"unit": unit(), "lag": faulty(tmp_path, "segfault").fmu})
+    with pytest.raises(RunFailed) as failed:
+        run(system, stop=1.0, step=0.05)
+    np.testing.assert_allclose(ticks(failed.value.result, "unit.tick"), [0.1, 0.2, 0.3, 0.4], atol=ROUNDING)
+
+
 @pytest.mark.parametrize(
     ("interval", "given", "message"),
     [
@@ -161,7 +170,7 @@ def test_intervals_that_cannot_be_are_told(unit, interval, given, message):
 
 
 def test_wires_of_clocks_that_cannot_be_are_told(unit):
-    """A clock that ticks by time, a number at one end, a cycle, no event mode, a master of one's own."""
+    """A clock that ticks by time, a number at one end, a cycle, no event mode."""
     files = {"a": unit(), "b": unit(name="b")}
     told = problem(lambda: assemble(files, ["a.fired -> b.tick"]))
     expected = "expected a triggered clock at the end, got the constant b.tick, which ticks by time"
@@ -175,6 +184,3 @@ def test_wires_of_clocks_that_cannot_be_are_told(unit):
     plain = unit(name="plain", **{'hasEventMode="true"': ""})
     told = problem(lambda: load(plain))
     assert told.endswith("tick has a clock: expected Co-Simulation with event mode, got an FMU without")
-    own = Master("mine", step=lambda *_: None)
-    told = problem(lambda: run(str(unit()), step=0.1, stop=0.5, master=own))
-    assert "unit: expected a master with a plan for an FMU with clocks, got mine" in told

@@ -11,7 +11,6 @@ from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, assemble, load, run
 from orchestrator.base.files import Location
-from orchestrator.cli.lists import lines
 from orchestrator.fmi import library
 from orchestrator.fmi.interface import read_interface
 from orchestrator.fmi.messages import with_variable_names
@@ -134,24 +133,18 @@ def test_other_fmus_are_refused_by_name(fmus3, changes, message):
     assert read_interface(Location(fmus3.make("gain", "patched", version="3.0.2"))).model.major == 3
 
 
-def test_binary_values_are_left_out_with_a_note(fmus3):
-    """In the card and in the list of signals; the rest runs. test_arrays.py has arrays."""
-    fmu = fmus3.make("gain", "mixed", more=BLOB)
-    note = "mixed: left out: blob, a variable of type Binary"
-    result = run(str(fmu), step=0.1, stop=0.2, set={"u": 2.0})
-    assert result.card.notes == (note,)
-    assert list(result.trace.signals) == ["mixed.y", "mixed.u"]
-    assert note in lines(load(fmu))
-
-
-def test_whoever_names_a_binary_is_told(fmus3):
-    """In a start value, a recorded signal, a column of a scenario or a connection."""
+def test_a_binary_is_no_number(fmus3):
+    """One that nothing needs, and no function gives, is left alone; test_clocks.py has others."""
     fmu, port = fmus3.make("gain", "mixed", more=BLOB), "mixed.blob"
+    result = run(str(fmu), step=0.1, stop=0.2, set={"u": 2.0})
+    assert list(result.trace.signals) == ["mixed.y", "mixed.u"]
+    assert result.texts == ()
     column = Trace(np.array([0.0, 1.0]), {port: np.zeros(2)})
     wired = problem(lambda: assemble({"s": fmus3["source"], "mixed": fmu}, [f"s.y -> {port}"]))
-    runs = refusal(fmu, {port: 1.0}), refusal(fmu, record=[port]), refusal(fmu, scenario=column)
-    for message in (*runs, wired):
-        assert f"{port}: expected a number or text, got a variable of type Binary, not supported" in message
+    assert "expected an output and an input, got output and output" in wired
+    assert "cannot be set" in refusal(fmu, {port: "00"})
+    assert "expected an input or a tunable parameter, got a Binary output" in refusal(fmu, scenario=column)
+    assert f"{port}" in refusal(fmu, record=[port])
 
 
 def test_the_experiment_of_a_single_fmu_is_run(each):
