@@ -10,7 +10,7 @@ from pathlib import Path
 sys.path[:0] = [str(Path(__file__).parents[1])]  # as a script
 
 from kit.any_fmu.description import packed  # noqa: E402  # after the path of a script
-from kit.any_fmu.models import Workshop, bank_fmu  # noqa: E402  # after the path of a script
+from kit.any_fmu.models import Workshop, bank_fmu, ticking_fmu  # noqa: E402  # after the path of a script
 from kit.ssp import bound, connector, inline, real, second, ssd, system, wire  # noqa: E402  # as above
 
 from orchestrator import Problem, load, run  # noqa: E402  # as above
@@ -30,8 +30,11 @@ FMI = [
     ("String", f'<String name="s" {AT} causality="parameter"><Start value="a"/></String>'),
     ("structural parameter", f'<UInt64 name="n" {AT} causality="structuralParameter" start="2"/>'),
     ("Binary", f'<Binary name="b" {ONE}/>'),
-    ("Clock", CLOCK.format(400)),
-    ("variable with clocks", f'<Float64 name="x" {ONE} clocks="401"/>{CLOCK.format(401)}'),
+    ("Clock without event mode", CLOCK.format(400)),
+    (
+        "variable with clocks, without event mode",
+        f'<Float64 name="x" {ONE} clocks="401"/>{CLOCK.format(401)}',
+    ),
 ]
 
 
@@ -123,6 +126,12 @@ def table(folder):
     rows = ["|standard|element|what happens|", "|---|---|---|"]
     arrays = bank_fmu(folder / "bank.fmu")
     rows.append(f"|FMI 3.0|array, also as state, event indicator or matrix|{outcome(arrays)}|")
+    for interval in ("constant", "fixed", "tunable", "changing", "countdown"):
+        attributes = f'intervalVariability="{interval}"' + ' intervalDecimal="0.1"' * (
+            interval != "countdown"
+        )
+        clocks = outcome(ticking_fmu(folder / "unit.fmu", attributes))
+        rows.append(f"|FMI 3.0|{interval} and triggered Clock, with event mode|{clocks}|")
     for n, (element, more) in enumerate(FMI):
         rows.append(f"|FMI 3.0|{element}|{outcome(workshop.make('types', f'p{n}', more=more))}|")
     for n, (element, text) in enumerate(SSP):
