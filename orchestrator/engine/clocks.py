@@ -49,6 +49,10 @@ class Clocks:
             [c for c in system.connections if system.variable(c.source).kind == "Clock"], lambda c: c.source
         )
         self._sources = {c.target: c for c in system.connections}
+        variable = system.variable
+        self._chained = any(
+            variable(c.source).clocked and variable(c.target).clocks for c in system.connections
+        )
         for name, component in system.components.items():
             variables = component.interface.variables.values()
             clocks = {v.reference: Port(name, v.name) for v in variables if v.kind == "Clock"}
@@ -124,7 +128,7 @@ class Clocks:
                 ticked.append(port)
             self._active |= self.pending
             self.pending = set()
-            changed = self._copy(sorted(self._active))
+            changed = self._copy(sorted(self._active)) and self._chained
             for port in self._outputs:
                 if port not in self._active and self._slave(port).ticks(port.variable):
                     self._active.add(port)
@@ -140,18 +144,22 @@ class Clocks:
         return slave
 
     def _copy(self, active: list[Port]) -> bool:
-        """Set inputs of clocks that tick from their sources, and read their outputs; has one changed?"""
+        """Set inputs of clocks that tick from their sources, then read their outputs; has one changed?"""
         found, network = False, self._network
-        for port in dict.fromkeys(p for clock in active for p in self._variables.get(clock, ())):
-            variable, slave = network.system.variable(port), network.slaves[port.component]
+        ports = dict.fromkeys(p for clock in active for p in self._variables.get(clock, ()))
+        variables = {port: network.system.variable(port) for port in ports}
+        for port, variable in variables.items():
+            if variable.causality == "input" and port in network.held_values:
+                wire = self._sources.get(port)
+                value = network.stored(wire.source if wire else port)
+                if value is None:  # a text that its clock has not given yet
+                    continue
+                value = wire.carried(value, variable) if wire else value
+                network.slaves[port.component].set(port.variable, value)
+                network.store(port, value)
+        for port, variable in variables.items():
             if variable.causality == "output":
-                found |= network.store(port, slave.get(port.variable))
-            elif wire := self._sources.get(port):
-                value = wire.carried(network.stored(wire.source), variable)
-                slave.set(port.variable, value)
-                found |= network.store(port, value)
-            elif port in network.held_values:
-                slave.set(port.variable, network.stored(port))
+                found |= network.store(port, network.slaves[port.component].get(port.variable))
         return found
 
     def saved(self) -> list[Any]:

@@ -284,7 +284,8 @@ class Network:
         self.driven: DrivenInputs | None = None
         inputs = [*(c.target for c in self.connections), *driven]
         held = [p for p in inputs if self._is_held(p) and not self._clocked(p)]
-        self.held_values = {p for p in inputs if self._clocked(p)}
+        texts = [c.target for c in system.connections if system.variable(c.source).kind in TEXTS]
+        self.held_values = {p for p in (*inputs, *texts) if self._clocked(p)}
         self.instant_calls = [self._set_call(*block) for block in self._blocks_of(set(held))]
         others = [
             c.target for c in self.connections if not (system.is_continuous(c) or self._clocked(c.target))
@@ -314,10 +315,10 @@ class Network:
         """Is a variable set or read only while its clock ticks, see `clocks`?"""
         return self.system.variable(port).clocked
 
-    def stored(self, port: Port) -> Value:
-        """The latest value of a signal in the arrays of the run."""
-        if port in self.texts.last:
-            return self.texts.last[port]
+    def stored(self, port: Port) -> Value | None:
+        """The latest value of a signal in the arrays of the run; None for a text that is not known yet."""
+        if not self.system.variable(port).is_number:
+            return self.texts.last.get(port)
         array = self._array(port)
         return array.values[array.index[port]].item()  # type: ignore[no-any-return]
 
@@ -435,7 +436,7 @@ class Network:
             calls += self._copies([c for c in connections if stage in self.order.stages[c.source]])
             inputs = [(array, b) for array, b in input_blocks if not self._is_held(b.ports[0])]
             calls += [self._set_call(array, b) for array, b in inputs if stage in b.stages]
-        return [*calls, self.texts.exchange] if self.texts.wires else calls
+        return [*calls, self.texts.exchange] if self.texts.plain else calls
 
     # ---- C
 
@@ -472,7 +473,7 @@ class Network:
 class Texts:
     """Signals that are texts, of type String or Binary: they are copied when they change.
 
-    wires     output -> the inputs that it feeds
+    wires     output -> the inputs that it feeds; plain: of those that belong to no clock
     last      output -> its last value
     changes   time [s], output and value of each change so far
     """
@@ -483,6 +484,7 @@ class Texts:
         outputs = [p for p in texts if p in of or slaves[p.component].reads(system.variable(p))]
         self._system, self._slaves = system, slaves
         self.wires = {p: [c.target for c in of.get(p, ())] for p in outputs}
+        self.plain = {p: to for p, to in self.wires.items() if not system.variable(p).clocked}
         self.last = dict[Port, str]()
         self.changes = list[tuple[float, str, str]]()
 
@@ -497,10 +499,8 @@ class Texts:
 
     def exchange(self) -> None:
         """Read the outputs that belong to no clock, and set the inputs of those that have changed."""
-        for port, targets in self.wires.items():
+        for port, targets in self.plain.items():
             slave = self._slaves[port.component]
-            if self._system.variable(port).clocked:
-                continue
             value = str(slave.get(port.variable))
             if self.store(port, value, slave.log.time):
                 for target in targets:

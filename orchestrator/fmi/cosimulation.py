@@ -51,6 +51,7 @@ class RunningFmu:
         """`after`: see `FmuInstance`."""
         self.name, self.interface, self.log = name, interface, Log(name, interface.marks)
         self._label, self._stepping, self._after = f"{name} ({fmu})", False, after
+        self._clock_calls = dict[tuple[str, str], tuple[Call, Any]]()
         self._given = dict[str, list[Value]]()  # values of arrays, until the initialisation mode
         self._cleanup = ExitStack()
         try:
@@ -373,17 +374,22 @@ class RunningFmu:
 
     def tick(self, clock: str) -> None:
         """Let an input clock tick, in event mode."""
-        references = self.fmu.references([self.interface.variables[clock].reference])
-        self.fmu.call("SetClock", *references, (ctypes.c_bool * 1)(True), variables=[clock])
+        self._clock_call("SetClock", clock)[0]()
 
     def ticks(self, clock: str) -> bool:
         """Does an output clock tick?"""
-        references, ticks = (
-            self.fmu.references([self.interface.variables[clock].reference]),
-            (ctypes.c_bool * 1)(),
-        )
-        self.fmu.call("GetClock", *references, ticks, variables=[clock])
-        return ticks[0]
+        call, ticks = self._clock_call("GetClock", clock)
+        call()
+        return bool(ticks[0])
+
+    def _clock_call(self, function: str, clock: str) -> tuple[Call, Any]:
+        """A bound call of a clock, and its argument."""
+        if (function, clock) not in self._clock_calls:
+            references = self.fmu.references([self.interface.variables[clock].reference])
+            ticks = (ctypes.c_bool * 1)(function == "SetClock")
+            call = self.fmu.bound(function, *references, ticks, variables=[clock])
+            self._clock_calls[function, clock] = call, ticks
+        return self._clock_calls[function, clock]
 
     def interval(self, clock: FmuVariable) -> tuple[int, Fraction]:
         """fmi3IntervalQualifier and interval of a clock [s], as a fraction if the FMU has them."""
