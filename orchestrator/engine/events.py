@@ -137,7 +137,19 @@ class Instants:
         """
         if not self._clocks:
             return self._once(t)
-        state, changed = self._network.binding.simulation.events, list[str]()
+        binding, fmus = self._network.binding, [slave.fmu for slave in self._members.values()]
+        state, changed = binding.simulation.events, list[str]()
+        for fmu in fmus:  # the floating-point environment is restored once, not after each of many calls
+            fmu.after = None
+        try:
+            return self._ticked(t, state, changed)
+        finally:
+            binding.restore_environment(*fmus)
+            for fmu in fmus:
+                fmu.after = binding.restore_environment
+
+    def _ticked(self, t: float, state: Any, changed: list[str]) -> list[str]:
+        assert self._clocks is not None
         for _ in range(MAX_EVENT_ITERATIONS):
             due = self._clocks.begin(t, state.tolerance)
             changed += [*map(str, due), *self._once(t)]

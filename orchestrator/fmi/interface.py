@@ -77,7 +77,6 @@ class FmuInterface:
     """
 
     variables: Mapping[str, FmuVariable]
-    arrays: Mapping[str, FmuVariable] = field(default_factory=dict)
     dependencies: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
     initial_dependencies: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
     kind: str = CO_SIMULATION
@@ -103,6 +102,7 @@ class FmuInterface:
     step: float | None = None
     stop: float | None = None
     tolerance: float | None = None
+    arrays: Mapping[str, FmuVariable] = field(default_factory=dict)
 
     def nominal(self, name: str) -> float:
         """The nominal value of a variable; if it declares none, that of FMI, 1, or 0 if no variable does."""
