@@ -78,9 +78,9 @@ def _identity(job: Job, loop: SimulationLoop) -> dict[str, Any]:
     system, network = job.system, loop.network
     fmus = {f"FMU of {name}": fmu["sha256"] for name, fmu in job.provenance.fmus.items()}
     start = {f"start values of {n}": str(sorted(c.start.items())) for n, c in system.components.items()}
-    engine = [str(part) for part in recipe(host())]
+    engine = sha256(str(sorted(recipe(host())[1].items())).encode()).hexdigest()[:12]
     return {
-        "platform": f"{host()}, engine {hash_of(engine)}",
+        "platform": f"{host()}, engine {engine}",
         "master": job.coupling.method.name,
         **{f"setting {name} of the master": str(value) for name, value in settings.items()},
         "start": job.times.start,
@@ -96,14 +96,9 @@ def _identity(job: Job, loop: SimulationLoop) -> dict[str, Any]:
     }
 
 
-def hash_of(parts: list[str]) -> str:
-    """A short hash of texts."""
-    return sha256("\n".join(parts).encode()).hexdigest()[:12]
-
-
 def save(file: Path, job: Job, loop: SimulationLoop) -> None:
     """Write the state of a run at a communication point."""
-    arrays: dict[str, Any] = {f"memory_{k}": part for k, part in enumerate(loop.memory())}
+    arrays: dict[str, Any] = {f"memory_{k}": part for k, part in enumerate(loop.network.binding.memory())}
     for k, slave in enumerate(_fmus(loop)):
         arrays |= {f"fmu_{k}_{name}": np.asarray(part) for name, part in slave.saved().items()}
     document = {"format": FORMAT, "identity": _identity(job, loop), "loop": loop.saved()}

@@ -351,10 +351,6 @@ class SimulationLoop:
         if not resumed:
             self.recorder.collect()
 
-    def memory(self) -> list[Any]:
-        """See `Binding.memory`."""
-        return self._binding.memory()
-
     def saved(self) -> dict[str, Any]:
         """What a saved state has of the loop besides its memory."""
         texts = [[str(port), text] for port, text in self.network.texts.last.items()]
@@ -363,7 +359,7 @@ class SimulationLoop:
 
     def restore(self, memory: Sequence[NDArray[Any]], saved: Mapping[str, Any]) -> None:
         """Go on from a saved state, whose FMUs follow."""
-        parts = self.memory()
+        parts = self._binding.memory()
         if [part.nbytes for part in parts] != [part.nbytes for part in memory]:
             raise Problem(
                 f"expected the memory of the saved run, {len(memory)} arrays, got {len(parts)} others"
