@@ -104,6 +104,9 @@ class TraceSink:
     def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
         """Receive estimated errors of outputs, shape (n, outputs); only a sink in memory keeps them."""
 
+    def append_events(self, events: Sequence[Any]) -> None:
+        """Receive events of FMUs, for a run whose process ends before it tells all of them."""
+
     @property
     def errors(self) -> Trace | None:
         """The estimated errors of the recorded signals; None if there are none or they were not kept."""

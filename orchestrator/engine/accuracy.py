@@ -411,7 +411,7 @@ def influential_outputs(system: System) -> list[Port]:
     """The outputs, other than texts, that feed an input which influences a state."""
     influential = influential_inputs(system)
     sources = dict.fromkeys(c.source for c in system.connections if c.target in influential)
-    return [port for port in sources if system.variable(port).kind != "String"]
+    return [port for port in sources if system.variable(port).is_number]
 
 
 def followed(system: System, output: Port) -> bool:

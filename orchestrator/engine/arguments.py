@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypedDict
 
 from orchestrator.base.options import (
@@ -123,6 +124,19 @@ class EndArguments(TypedDict, total=False):
     until: Annotated[str | Callable[[float, Mapping[str, float]], Any] | None, Kind("CONDITION")]
 
 
+class StateArguments(TypedDict, total=False):
+    """A run in parts.
+
+    save_state   Write the state of the run to a file, FILE@TIME such as run.state@21s; without a time at its
+                 end.
+    resume       Go on from the state in such a file, with the same system, master and step, also in another
+                 process: bit for bit the run that was saved.
+    """
+
+    save_state: Annotated[str | Path | None, Kind("FILE@TIME")]
+    resume: Annotated[str | Path | None, Kind("FILE")]
+
+
 class FaultArguments(TypedDict, total=False):
     """What changes during a run.
 
@@ -163,7 +177,13 @@ class CoupledArguments(CaseArguments, StepArguments, AccuracyArguments, Coupling
 
 
 class CommandArguments(
-    CoupledArguments, FaultArguments, SolverArguments, LimitArguments, EndArguments, total=False
+    CoupledArguments,
+    FaultArguments,
+    SolverArguments,
+    LimitArguments,
+    EndArguments,
+    StateArguments,
+    total=False,
 ):
     """Options of the command `run`."""
 
@@ -232,5 +252,5 @@ class LinearArguments(SystemArguments, total=False):
 
 GROUPS += [
     *(SystemArguments, SpanArguments, StepArguments, AccuracyArguments, SolverArguments, LimitArguments),
-    *(EndArguments, FaultArguments, ProcessArguments, MachinesArguments),
+    *(EndArguments, StateArguments, FaultArguments, ProcessArguments, MachinesArguments),
 ]

@@ -116,6 +116,31 @@ def _fields(declaration: str, header: dict[str, Any]) -> Iterable[tuple[str, Any
             yield name, header[type_name]
 
 
+# members of structures that belong to one process or to one scenario and stop time
+OF_PROCESS = frozenset(
+    ("total", "patience", "spent", "counted", "tick", "busy", "pause", "threads", "divided_count", "samples")
+)
+
+
+def _views(struct: Struct) -> list[NDArray[np.uint8]]:
+    """The members of a structure that are no addresses, as writable bytes."""
+    whole = np.frombuffer(memoryview(struct), np.uint8)
+    return [whole[first : first + size] for first, size in _spans(type(struct))]
+
+
+@cache
+def _spans(kind: Any) -> tuple[tuple[int, int], ...]:
+    """Offset and size of the members that are no addresses."""
+    spans = list[tuple[int, int]]()
+    for name, member in kind._fields_:
+        first = getattr(kind, name).offset
+        if isinstance(member, type) and issubclass(member, Struct):
+            spans += [(first + inner, size) for inner, size in _spans(member)]
+        elif member is not ctypes.c_void_p and name not in OF_PROCESS:
+            spans.append((first, ctypes.sizeof(member)))
+    return tuple(spans)
+
+
 # ---- one simulation
 
 
@@ -163,6 +188,7 @@ class Binding:
         self.logs: Sequence[Log] = ()
         self._checks: dict[int, StatusCheck] = {}
         self._calls: list[Call] = []
+        self._constants: list[NDArray[Any]] = []
         self.problem: BaseException | None = None
         callbacks = CHECK(self._check_status), PYTHON(self._call_python)
         self._alive: list[Any] = [*callbacks]
@@ -201,6 +227,23 @@ class Binding:
             raise ValueError("expected a contiguous array")
         self._alive.append(array)
         return array.ctypes.data
+
+    def constant(self, array: NDArray[Any]) -> int:
+        """The address of an array that follows from scenario and stop time, which no state has."""
+        self._constants.append(array)
+        return array.ctypes.data
+
+    def memory(self) -> list[Any]:
+        """What C has computed so far, as writable views without addresses, in the order of allocation."""
+        parts: list[Any] = _views(self.simulation)
+        for owned in self._alive:
+            if isinstance(owned, np.ndarray):
+                parts += [] if owned.dtype == np.uint64 else [owned.reshape(-1)]  # addresses
+            elif isinstance(owned, Struct):
+                parts += _views(owned)
+            elif isinstance(owned, ctypes.Array) and issubclass(owned._type_, Struct):
+                parts += [view for struct in owned for view in _views(struct)]
+        return parts
 
     def all_at(self, owner: object, names: str) -> dict[str, int]:
         """The addresses of arrays that are attributes of the same names."""
@@ -245,6 +288,7 @@ class Binding:
             fmu_values=self.at(call.fmu_values),
             values=self.at(call.values),
             count=len(call.names),
+            reference_count=len(call.references),
             type=ELEMENTS.index(call.fmu_values.dtype),
             array=self.array_of(call.values),
             sets=call.sets,
@@ -287,6 +331,7 @@ class Binding:
             for name, value in call.call.for_c().items():
                 setattr(struct, name, value)
             struct.unknowns, struct.knowns = self.at(call.unknowns), self.at(call.knowns)
+            struct.unknown_references, struct.known_references = len(call.unknowns), len(call.knowns)
             self.checked(struct, call.call)
         else:
             struct.index = self._register(call)

@@ -12,19 +12,23 @@ states are updated, until nothing changes. Afterwards inputs, extrapolations and
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from ctypes import c_double
 from math import ulp
+from typing import Any
 
 import numpy as np
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.trace_writer import TraceSink
+from orchestrator.engine.clocks import Clocks
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.network import Network
 from orchestrator.engine.result import Event
 from orchestrator.engine.stepped_fmu import SteppedFmu
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.fmi.instance import settle
+from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled, settle
 from orchestrator.ssp.system import Port
 
 TIME_TOLERANCE = 1e-11  # of the time of an event [s], and
@@ -39,7 +43,14 @@ class Instants:
     happened   the events so far
     """
 
-    def __init__(self, network: Network, inputs: CouplingInputs, times: Grid) -> None:
+    def __init__(
+        self, network: Network, inputs: CouplingInputs, times: Grid, located: bool, sink: TraceSink
+    ) -> None:
+        """located: a step is repeated until it ends at an event; else events are at the end of steps.
+
+        sink: receives each event at once, as an FMU may end the process later
+        """
+        self._sink = sink
         self._network, self._times = network, times
         self._members: dict[str, RunningFmu] = {
             name: slave
@@ -48,7 +59,7 @@ class Instants:
         }
         for slave in self._members.values():
             if isinstance(slave, SteppedFmu):
-                slave.stops = slave.interface.declares_events
+                slave.stops = slave.interface.declares_events and located
         for name, component in network.components.items():
             struct, interface = component.struct, component.slave.interface
             struct.events = name in self._members
@@ -64,6 +75,7 @@ class Instants:
                 s.at_end = interface.event_mode and (near if s.fmu_degree and states else exact)
         self.happened = list[Event]()
         self._close, self._latest = 0, deque[str](maxlen=10)
+        self._clocks: Clocks | None = None
         self._time = times.start
 
     def fill(self) -> None:
@@ -74,8 +86,22 @@ class Instants:
         state.tolerance = max(min(TIME_TOLERANCE, SHARE_OF_STEP * self._times.step), rounding)
 
     def begin(self) -> None:
-        """The first instant, at the start."""
+        """The first instant, at the start, from which on clocks tick."""
+        if any(slave.interface.has_clocks for slave in self._members.values()):
+            self._clocks = Clocks(self._network, self._times.start)
         self._instant(self._times.start)
+
+    def saved(self) -> list[Any]:
+        """The events so far, for a saved run."""
+        clocks = self._clocks.saved() if self._clocks else []
+        return [self._time, self._close, [(e.time, e.causes) for e in self.happened], clocks]
+
+    def resume(self, saved: Sequence[Any]) -> None:
+        """Go on from a saved run."""
+        self._time, self._close, events, clocks = saved
+        if self._clocks:
+            self._clocks.resume(clocks)
+        self.happened = [Event(time, tuple(causes)) for time, causes in events]
 
     def __call__(self, t: float, never: bool) -> None:
         """An instant at a time [s]; never: an FMU stops at other times whenever the step is repeated."""
@@ -95,6 +121,7 @@ class Instants:
             struct.locates = struct.locates and (bool(changed) or t > self._time)
         causes = tuple(dict.fromkeys([*asked, *changed]))
         self.happened.append(Event(t, causes))
+        self._sink.append_events(self.happened[-1:])
         self._latest.extend(changed or asked)
         self._close = self._close + 1 if t - self._time <= CLOSE * self._times.step else 0
         self._time = t
@@ -104,7 +131,38 @@ class Instants:
             raise Problem(f"{names}: t = {t:.9g} s: {expected} (chattering)")
 
     def _instant(self, t: float) -> list[str]:
-        """Take all members through event mode; returns the signals, not continuous, that have changed."""
+        """Take all members through event mode; returns the signals, not continuous, that have changed.
+
+        Ticks at one time that are not due together, as those after a countdown of 0, follow each other.
+        """
+        if not self._clocks:
+            return self._once(t)
+        binding, fmus = self._network.binding, [slave.fmu for slave in self._members.values()]
+        state, changed = binding.simulation.events, list[str]()
+        for fmu in fmus:  # the floating-point environment is restored once, not after each of many calls
+            fmu.after = None
+        try:
+            return self._ticked(t, state, changed)
+        finally:
+            binding.restore_environment(*fmus)
+            for fmu in fmus:
+                fmu.after = binding.restore_environment
+
+    def _ticked(self, t: float, state: Any, changed: list[str]) -> list[str]:
+        assert self._clocks is not None
+        for _ in range(MAX_EVENT_ITERATIONS):
+            due = self._clocks.begin(t, state.tolerance)
+            changed += [*map(str, due), *self._once(t)]
+            self._clocks.finish()
+            if self._clocks.next > t + state.tolerance:
+                state.next = min(state.next, self._clocks.next)
+                return [*dict.fromkeys(changed)]
+        names = ", ".join(map(str, due))
+        raise Unsettled(
+            f"{names}: t = {t:.9g} s: expected time to pass between ticks, got {MAX_EVENT_ITERATIONS}"
+        )
+
+    def _once(self, t: float) -> list[str]:
         changed = dict[str, None]()
 
         def copied() -> list[str]:
@@ -130,16 +188,20 @@ class Instants:
     def _copied(self, t: float) -> list[str]:
         """Copy values along all connections; returns the signals, not continuous, that have changed."""
         network, found = self._network, list[str]()
+        texts = len(network.texts.changes)
         network.binding.call("simulation_exchange", c_double(t))
         for array in (network.reals, network.integers):
             ports, before = network.discrete[array.name]
             values = array.values[array.indices(ports)]
-            found += [str(self._source(ports[i])) for i in np.flatnonzero(values != before)]
+            same = (values == before) | ((values != values) & (before != before))  # NaN stays NaN
+            found += [str(self._source(ports[i])) for i in np.flatnonzero(~same)]
             before[:] = values
         if found:
             for call in network.instant_calls:
                 call()
-        return found
+        if self._clocks:
+            found += self._clocks.propagate()
+        return [*found, *(name for _, name, _ in network.texts.changes[texts:])]
 
     def _source(self, port: Port) -> Port:
         return next((c.source for c in self._network.connections if c.target == port), port)

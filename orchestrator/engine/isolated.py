@@ -30,7 +30,7 @@ from orchestrator.worker.process import GARBLED, LimitExceeded, Pool, Worker, re
 if TYPE_CHECKING:
     from orchestrator.data.trace_writer import Array, Points, RowLayout, TraceSink
     from orchestrator.engine.job import Job
-    from orchestrator.engine.result import RunEnd
+    from orchestrator.engine.result import Event, RunEnd
     from orchestrator.fmi.messages import LogMessage
     from orchestrator.worker.main import Channel
 
@@ -83,11 +83,18 @@ def processes() -> Pool:
 def _contents() -> Mapping[str, Any]:
     """What the child may send."""
     from orchestrator.data.trace_writer import Array, Points, RowLayout
-    from orchestrator.engine.result import RunEnd
+    from orchestrator.engine.result import Event, RunEnd
     from orchestrator.fmi.messages import LogMessage
 
     errors = tuple[tuple[str, ...], Array, Array]
-    types = {"begin": RowLayout, "points": Points, "errors": errors, "message": LogMessage, "outcome": RunEnd}
+    types: dict[str, Any] = {"events": tuple[Event, ...]}
+    types |= {
+        "begin": RowLayout,
+        "points": Points,
+        "errors": errors,
+        "message": LogMessage,
+        "outcome": RunEnd,
+    }
     return types | {"time": float, "closed": bool} | dict.fromkeys(("problem", "failed"), str)
 
 
@@ -133,6 +140,7 @@ class _Supervision:
         self._outcome: RunEnd | None = None
         self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
         self._number = next(_numbers)
+        self._events: list[Event] = []
         task = RunTask(job, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, many)
         worker.put(task)
         self._kill_at, self._began = float("inf"), time.perf_counter()
@@ -185,6 +193,8 @@ class _Supervision:
             self._sink.append_points(*content)
         elif name == "errors" and self._are_errors(*content):
             self._sink.append_errors(*content)
+        elif name == "events":
+            self._events += content
         elif name == "time":
             self._t = content
         elif name == "begin" and self._layout is None and content.consistent:
@@ -247,6 +257,7 @@ class _Supervision:
         if self._outcome is None:
             self._rescue(outcome, self._layout)
             by_component = grouped(self._messages, lambda message: message.component)
+            outcome.events = tuple(self._events)
             outcome.logs = tuple(Log(name, messages=texts) for name, texts in by_component.items())
         outcome.interrupted, outcome.died, outcome.problem = interrupted, True, problem
         return outcome
@@ -356,6 +367,9 @@ def _run(channel: Channel, task: RunTask) -> None:
 
         def append_points(self, *points: Any) -> None:
             channel.put("points", points)
+
+        def append_events(self, events: Any) -> None:
+            channel.put("events", tuple(events))
 
         def append_errors(self, *errors: Any) -> None:
             if task.keeps_errors:

@@ -150,7 +150,7 @@ class Job:
         if coupling.method.own:
             options = {**options, "isolate": False}
         step, start, stop = (options.get(name) for name in ("step", "start", "stop"))
-        (trace, label, file), set_values = given, options.get("set") or {}
+        (trace, label, file), set_values = given, dict(system.by_element(options.get("set") or {}))
         if fault := options.get("fault"):
             ends = time_span(system, trace, start, stop)
             trace, label = with_changes(system, trace, fault, ends[:2]), label if trace else "fault"
@@ -232,7 +232,7 @@ class Job:
         times, adaptive, simulated = self.times, self.coupling.adaptive, end.t - self.times.start
         interfaces = {name: component.interface for name, component in self.system.components.items()}
         left_out = (f"{n}: {i.unsupported_note}" for n, i in interfaces.items() if i.unsupported)
-        same = ("steps", "passes", "repeated", "lengths", "wall", "bonds", "inside", "events")
+        same = ("steps", "passes", "repeated", "lengths", "wall", "bonds", "inside", "events", "texts")
         errors = relative_errors(end.errors, trace, self.system.nominals)
         card = Card(
             master=self.coupling.text,

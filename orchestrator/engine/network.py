@@ -24,7 +24,7 @@ from orchestrator.base.text import grouped
 from orchestrator.engine.algebraic_loop import AlgebraicLoop, solver
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.scenario import DrivenInputs, Scenario
-from orchestrator.fmi.calls import Buffer, Call, Slave, StepCalls, calls_by_type
+from orchestrator.fmi.calls import TEXTS, Buffer, Call, Slave, StepCalls, calls_by_type, set_starts
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.dependencies import (
     DependencyCycle,
@@ -191,7 +191,7 @@ class SignalArray:
             return port.component, system.variable(port).function_type, stages[port]
 
         blocks = []
-        for (component, _, same), ports in grouped(stages, group_of).items():
+        for (component, _, same), ports in grouped(_by_array(system, stages), group_of).items():
             blocks.append(Block(component, same, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
@@ -205,6 +205,16 @@ class SignalArray:
     def indices(self, ports: Iterable[Port]) -> NDArray[np.int64]:
         """The indices of ports, shape (n,)."""
         return np.array([self.index[p] for p in ports], dtype=np.int64)
+
+
+def _by_array(system: System, ports: Iterable[Port]) -> list[Port]:
+    """The ports, with all elements of an array at the first of them, in order: FMUs take them whole."""
+    found = [*ports]
+    variables = {p: system.variable(p) for p in found}
+    if not any(v.array for v in variables.values()):
+        return found
+    of_array = grouped(found, lambda p: (p.component, (variables[p].array or variables[p]).name))
+    return [p for same in of_array.values() for p in sorted(same, key=lambda p: variables[p].position)]
 
 
 Blocks = list[tuple[SignalArray, Block]]
@@ -252,7 +262,8 @@ class Network:
         }
         self._influential = influential_inputs(system)
         self.with_events = {n for n, s in slaves.items() if events and getattr(s, "event_mode", False)}
-        self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
+        numbers = [c for c in system.connections if system.variable(c.source).is_number]
+        self.connections = [c for c in numbers if system.variable(c.target).causality == "input"]
         self.reals, self.integers = SignalArray("reals", np.float64), SignalArray("integers", np.int64)
         self.rates = scenario.rates(system) if scenario else {}
         driven = [*scenario.columns, *self.rates] if scenario else []
@@ -266,14 +277,19 @@ class Network:
         self._blocks = [(array, block) for array in (self.reals, self.integers) for block in array.blocks]
         self._block_of = {port: i for i, (_, block) in enumerate(self._blocks) for port in block.ports}
         self.input_ends = np.full((2, len(self.reals.values)), np.nan)
+        self.texts = Texts(system, slaves)
         self.loops = [AlgebraicLoop(self.binding, slaves, cycle) for cycle, _ in self.order.cycles]
         self.first_reads = [self._get_call(array, b) for array, b in output_blocks if 0 in b.stages]
         self.exchange_calls = self._exchange(output_blocks, input_blocks)
         self.driven: DrivenInputs | None = None
         inputs = [*(c.target for c in self.connections), *driven]
-        held = [p for p in inputs if self._is_held(p)]
+        held = [p for p in inputs if self._is_held(p) and not self._clocked(p)]
+        texts = [c.target for c in system.connections if system.variable(c.source).kind in TEXTS]
+        self.held_values = {p for p in (*inputs, *texts) if self._clocked(p)}
         self.instant_calls = [self._set_call(*block) for block in self._blocks_of(set(held))]
-        others = [c.target for c in self.connections if not system.is_continuous(c)]
+        others = [
+            c.target for c in self.connections if not (system.is_continuous(c) or self._clocked(c.target))
+        ]
         watched = dict.fromkeys([*held, *(p for p in others if p in self._influential)])
         found = {a.name: [p for p in watched if p in a.index] for a in (self.reals, self.integers)}
         dtypes = {"reals": np.float64, "integers": np.int64}
@@ -295,11 +311,35 @@ class Network:
         """Does its FMU take an input or parameter in event mode only?"""
         return port.component in self.with_events and not self.system.variable(port).is_continuous
 
+    def _clocked(self, port: Port) -> bool:
+        """Is a variable set or read only while its clock ticks, see `clocks`?"""
+        return self.system.variable(port).clocked
+
+    def stored(self, port: Port) -> Value | None:
+        """The latest value of a signal in the arrays of the run; None for a text that is not known yet."""
+        if not self.system.variable(port).is_number:
+            return self.texts.last.get(port)
+        array = self._array(port)
+        return array.values[array.index[port]].item()  # type: ignore[no-any-return]
+
+    def store(self, port: Port, value: Value) -> bool:
+        """Store the value of a signal; is it another one?"""
+        variable = self.system.variable(port)
+        if not variable.is_number:
+            return self.texts.store(port, str(value), self.slaves[port.component].log.time)
+        array = self._array(port)
+        at = array.index.get(port)
+        if at is None or array.values[at] == value:
+            return False
+        array.values[at] = value
+        return True
+
     # ---- calls
 
     def connected_outputs(self, component: str) -> set[Port]:
         """The outputs of a component that feed inputs."""
-        return {c.source for c in self.connections if c.source.component == component}
+        of = {c.source for c in self.connections if c.source.component == component}
+        return {port for port in of if not self._clocked(port)}
 
     def get_output_calls(self, component: str) -> list[Call]:
         """Calls that read all connected outputs of a component, for sequential masters."""
@@ -355,7 +395,7 @@ class Network:
         """Assign indices to outputs, recorded ports and fed inputs; returns the blocks to read and to set."""
         requested = set(self.order.stages if recorded is None else recorded)
         requested |= {c.source for c in self.connections}
-        numeric = {p for p in requested if self.system.variable(p).kind != "String"}
+        numeric = {p for p in requested if self.system.variable(p).is_number}
         outputs = {p: stages for p, stages in self.order.stages.items() if p in numeric}
         inputs = {c.target: self.order.stages[c.source] for c in self.connections}
         # blocks of a loop take part in no stage of the exchange
@@ -365,8 +405,12 @@ class Network:
         inputs |= {p: (SCENARIO_STAGE,) for p in driven}
         read = [o.source for o in self.system.outputs.values() if o.source.component]  # also local variables
         others = [*self.system.exposed, *read] if recorded is None else recorded
+        others = [p for p in others if self.system.variable(p).is_number]
         given, last = {*self.system.ports("input")}, self._stages - 1
         outputs |= {p: (0 if p in given else last,) for p in others if p not in outputs and p not in inputs}
+        outputs, inputs = (
+            {p: () if self._clocked(p) else stages for p, stages in of.items()} for of in (outputs, inputs)
+        )
         output_blocks, input_blocks = Blocks(), Blocks()
         for array in (self.reals, self.integers):
             for stages, blocks in ((outputs, output_blocks), (inputs, input_blocks)):
@@ -380,7 +424,9 @@ class Network:
         """All calls of one exchange, in order."""
         calls: list[Any] = []
         loop_inputs = {c.target for loop in self.loops for c in loop.cycle.connections}
-        connections = [c for c in self.connections if c.target not in loop_inputs]
+        connections = [
+            c for c in self.connections if c.target not in loop_inputs and not self._clocked(c.target)
+        ]
         for loop in self.loops:
             loop.set_indices(self.reals.indices(loop.inputs), self.reals.indices(loop.outputs))
         for stage in range(self._stages):
@@ -390,7 +436,7 @@ class Network:
             calls += self._copies([c for c in connections if stage in self.order.stages[c.source]])
             inputs = [(array, b) for array, b in input_blocks if not self._is_held(b.ports[0])]
             calls += [self._set_call(array, b) for array, b in inputs if stage in b.stages]
-        return calls
+        return [*calls, self.texts.exchange] if self.texts.plain else calls
 
     # ---- C
 
@@ -424,6 +470,49 @@ class Network:
             component.free_saved_state()
 
 
+class Texts:
+    """Signals that are texts, of type String or Binary: they are copied when they change.
+
+    wires     output -> the inputs that it feeds; plain: of those that belong to no clock
+    last      output -> its last value
+    changes   time [s], output and value of each change so far
+    """
+
+    def __init__(self, system: System, slaves: Mapping[str, Slave]) -> None:
+        of = grouped(system.connections, lambda c: c.source)
+        texts = [p for p in system.ports("output") if system.variable(p).kind in TEXTS]
+        outputs = [p for p in texts if p in of or slaves[p.component].reads(system.variable(p))]
+        self._system, self._slaves = system, slaves
+        self.wires = {p: [c.target for c in of.get(p, ())] for p in outputs}
+        self.plain = {p: to for p, to in self.wires.items() if not system.variable(p).clocked}
+        self.last = dict[Port, str]()
+        self.changes = list[tuple[float, str, str]]()
+
+    def store(self, port: Port, value: str, t: float) -> bool:
+        """Store a value; is it another one?"""
+        if self.last.get(port) == value:
+            return False
+        self.last[port] = value
+        if port in self.wires:
+            self.changes.append((t, str(port), value))
+        return True
+
+    def exchange(self) -> None:
+        """Read the outputs that belong to no clock, and set the inputs of those that have changed."""
+        for port, targets in self.plain.items():
+            slave = self._slaves[port.component]
+            value = str(slave.get(port.variable))
+            if self.store(port, value, slave.log.time):
+                for target in targets:
+                    if not self._system.variable(target).clocked:
+                        self._slaves[target.component].set(target.variable, value)
+
+    def withdraw(self, t: float) -> None:
+        """Forget what has changed after a time [s], in a step that is repeated."""
+        while self.changes and self.changes[-1][0] > t:
+            self.changes.pop()
+
+
 # ---- initialisation
 
 
@@ -440,12 +529,12 @@ def initialise(
     span         start and stop time [s]
     tolerances   component -> tolerance of the solver in its FMU
     """
+    system.check_sizes(driven)
     for name, slave in slaves.items():
         # the sum of equal steps may be carried by rounding beyond the true stop time
         stop = span[1] if slave.interface.variable_step else span[1] + 4.0 * math.ulp(span[1])
         slave.setup(span[0], stop, tolerances.get(name) if tolerances else None)
-        for variable, value in system.components[name].start.items():
-            slave.set(variable, value)
+        set_starts(slave, system.components[name].whole_start)
     _set(slaves, driven)  # some FMUs compute start values when they enter initialisation mode
     for slave in slaves.values():
         slave.enter()
@@ -465,7 +554,9 @@ def propagate(system: System, slaves: Mapping[str, Slave]) -> None:
 
     Algebraic loops are solved as in the run, see `AlgebraicLoop`.
     """
-    connections = grouped(system.connections, lambda c: c.source)
+    clocked = {p for c in system.connections for p in (c.source, c.target) if system.variable(p).clocked}
+    wires = [c for c in system.connections if not clocked & {c.source, c.target}]
+    connections = grouped(wires, lambda c: c.source)
     for group, cycle in initial_groups(system):
         outputs = [y for y in group if y in connections]
         if cycle:
@@ -504,7 +595,7 @@ def _equal(old: Value, new: Value) -> bool:
 def _copy(slaves: Mapping[str, Slave], source: Port, connections: list[Connection]) -> Value:
     """Read one output and set the inputs that it feeds; returns the value of the output."""
     value = slaves[source.component].get(source.variable)
-    if isinstance(value, str) or math.isnan(value):
+    if not isinstance(value, str) and math.isnan(value):
         raise Problem(f"{source}: expected a number in initialisation mode, got {value!r}")
     for c in connections:
         target = slaves[c.target.component]

@@ -68,6 +68,8 @@ class Components(dict[str, Slave]):
             raise
         except BaseException as error:  # of the user's function, SystemExit too: the rows are kept
             raise Problem(f"{where} failed at t = {time:.9g} s: {error!r}") from error
+        if any(isinstance(s, RunningFmu) and s.asks_for_event() for s in self.values()):
+            self._network.binding.simulation.events.due = True
         late = [n for n, reached in self._reached.items() if abs(reached - end) > SAME_TIME * length]
         if late:
             raise Problem(f"{where}: expected steps of all components to t = {end:.9g} s, not of {late[0]}")

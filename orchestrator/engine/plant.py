@@ -319,6 +319,10 @@ class Plant:
         self.external[:] = self.input_map @ self.u + self.constant
         self._update_discrete_states()
 
+    def memory(self) -> list[Any]:
+        """See `Binding.memory`."""
+        return self._binding.memory()
+
     def read(self) -> None:
         """Read states and inputs of components without connections, which keep these inputs."""
         self._call("plant_start")

@@ -135,6 +135,17 @@ class Recorder:
             signal, t = self._reals[column], self.block.time[n]
             raise Problem(f"{signal}: expected a finite value, got {row[column]} at t = {t:.9g} s")
 
+    def resume(self) -> None:
+        """Go on from a saved run, whose last point is the first one here."""
+        self._struct.filled, every = 0, self.layout.every
+        latest = (self._struct.collected - 1) % every
+        self._struct.collected = latest + 1
+        reals, integers = self._network.reals, self._network.integers
+        row = reals.values[reals.indices(self._reals)], integers.values[integers.indices(self._integers)]
+        if latest == 0:
+            t = np.array([self._network.binding.simulation.t])
+            self._sink.append_points(t, row[0][None], row[1][None])
+
     def _pass_on(self) -> int:
         """Pass on the points before the first one with a value that is not finite; returns their number."""
         n = self.block.finite_rows(self._struct.filled)

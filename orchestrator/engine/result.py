@@ -76,13 +76,18 @@ class Result(Mapping[str, NDArray[np.float64]]):
         """Write the trace as .csv, .parquet or .mat, and the metadata of the run next to it."""
         file = write_trace(self.trace, path, metadata_text(self, ""))
         write_metadata(self, file)
-        write_events(self.events, file)
+        write_events(self.card, file)
         return file
 
     @property
     def events(self) -> tuple[Event, ...]:
         """The events of FMUs that the run has handled, by time."""
         return self.card.events
+
+    @property
+    def texts(self) -> tuple[tuple[float, str, str], ...]:
+        """Time [s], signal and value of each change of a text; a Binary in hexadecimal digits."""
+        return self.card.texts
 
     def noted(self, *notes: str, errors: tuple[SignalError, ...] | None = None) -> Result:
         """This result with further notes, and with other estimates of errors, on its card."""
@@ -317,6 +322,7 @@ class Card(RunFigures):
     adaptive: float | None = None
     errors_of_inputs: bool = False
     events: tuple[Event, ...] = ()
+    texts: tuple[tuple[float, str, str], ...] = ()
 
     def doubted(self, *reasons: str) -> Card:
         """This card with reasons why the result is not reliable."""
@@ -431,6 +437,7 @@ class RunEnd:
     errors: Mapping[str, EstimatedError] = field(default_factory=dict)
     inside: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
+    texts: tuple[tuple[float, str, str], ...] = ()
     logs: tuple[Log, ...] = ()
     notes: tuple[str, ...] = ()
     problem: Problem | None = None
@@ -628,18 +635,21 @@ def write_metadata(result: Result, trace: Path) -> Path:
     return write_whole(metadata_file(trace), text)
 
 
-EVENTS = "time,causes\n"  # heading of a file of events
+EVENTS, TEXTS = "time,causes\n", "time,signal,text\n"  # headings of files
 
 
-def write_events(events: Sequence[Event], trace: Path) -> None:
-    """Write times [s] and causes of events next to a trace; without any, remove those of an earlier run."""
-    file = trace.with_suffix(".events.csv")
-    if events:
-        write_whole(file, "".join([EVENTS, *(f"{e.time!r},{' '.join(e.causes)}\n" for e in events)]))
-    elif file.is_file():
-        with file.open(encoding="utf-8", errors="replace") as stream:
-            if stream.readline() == EVENTS:  # it could be a trace of another name
-                file.unlink()
+def write_events(card: Card, trace: Path) -> None:
+    """Write events, and changes of texts, next to a trace; without any, remove those of an earlier run."""
+    events = [f"{e.time!r},{' '.join(e.causes)}\n" for e in card.events]
+    texts = [f"{t!r},{signal},{json.dumps(text, ensure_ascii=False)}\n" for t, signal, text in card.texts]
+    for kind, head, lines in (("events", EVENTS, events), ("texts", TEXTS, texts)):
+        file = trace.with_suffix(f".{kind}.csv")
+        if lines:
+            write_whole(file, "".join([head, *lines]))
+        elif file.is_file():
+            with file.open(encoding="utf-8", errors="replace") as stream:
+                if stream.readline() == head:  # it could be a trace of another name
+                    file.unlink()
 
 
 def read_metadata(path: Path) -> RunMetadata | None:

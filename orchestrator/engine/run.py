@@ -225,7 +225,8 @@ def run_to_file(
     given = checked(RunArguments, options, "run")
     loaded, source, asked = begun(require_system(system), scenario, {"progress": True, **given})
     choices, step = take_coupling({**asked}), asked.get("step")
-    if default_accuracy and "accuracy" not in asked and chooses_freely(loaded, step, choices):
+    parts = {"accuracy", "save_state", "resume"} & asked.keys()
+    if default_accuracy and not parts and chooses_freely(loaded, step, choices):
         asked = {**asked, "accuracy": default_accuracy}
     if "record_step" not in asked:
         coupled = loaded.coupled(choices) if choices else loaded
@@ -277,7 +278,7 @@ class _Output:
         complete, digest = file.finish(check)
         metadata = metadata_text(result, digest, self._given, file.layout)
         file.publish(complete, {metadata_file(file.path): metadata})
-        write_events(result.events, file.path)
+        write_events(result.card, file.path)
         self._complete, self.line = result, self._summary(result.card, file.path)
 
     def explain(self, error: Exception, result: Result | None) -> None:

@@ -308,7 +308,7 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearT
         ) from None
     for port, _ in targets:
         variable = system.variable(port)
-        if (variable.causality != "input" and not _tunable(variable)) or variable.kind == "String":
+        if (variable.causality != "input" and not _tunable(variable)) or not variable.is_number:
             got = f"{variable.kind} {variable.causality}{f' {port}' * (name != str(port))}"
             raise Problem(f"{label}: column {name!r}: expected an input or a tunable parameter, got a {got}")
     return targets
@@ -390,7 +390,7 @@ class DrivenInputs:
     def fill(self, binding: Binding, inputs: Sequence[int]) -> Any:
         """Fill the C structure, and return it; inputs: index of each continuous input among all inputs."""
         struct = binding.h.Scenario(
-            **self.members(binding.at, inputs),
+            **self.members(binding.constant, inputs),
             **binding.all_at(self, "at_end at_midpoint"),
             evaluated_at=np.nan,
             since=np.nan,

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from copy import copy
 from ctypes import c_double
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.files import archive_kept_open
@@ -32,10 +34,12 @@ from orchestrator.engine.network import Network, initialise
 from orchestrator.engine.own_master import Components
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
 from orchestrator.engine.result import Event, RunEnd
+from orchestrator.engine.saved_run import asked, resume, save
+from orchestrator.engine.saved_run import check as check_saved
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.ssp.dependencies import influential_events, late_notes, uses_events
+from orchestrator.ssp.dependencies import influential_events, late_notes, locates_events, uses_events
 from orchestrator.ssp.masters import plan_with_events
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.system import Port, System
@@ -62,10 +66,15 @@ def run_job(
     """
     with simulation(job, sink, allocate) as loop:
         loop.cores = cores or CORES
+        if resumed := job.options.get("resume"):
+            loop.begin(resumed=True)
+            resume(Path(resumed), job, loop)
+            of_part = f"rows and wall time are those from t = {loop.state.t:.9g} s on, the state in {resumed}"
+            loop.notes += (of_part,)
         began = time.perf_counter()
         problem, interrupted = None, False
         try:
-            _step_to_end(loop, sink, between)
+            _step_to_end(job, loop, sink, between)
         except KeyboardInterrupt:
             interrupted = True
         except Ended as ended:
@@ -76,6 +85,8 @@ def run_job(
         loop.recorder.finish()
         if loop.errors:
             loop.errors.collect(sink)
+        if loop.state.pause < np.inf:
+            loop.notes += (f"no state is saved: the run ended before t = {loop.state.pause:.9g} s",)
         state, network = loop.state, loop.network
         end = RunEnd(
             t=state.t,
@@ -88,6 +99,7 @@ def run_job(
             errors=loop.errors.errors() if loop.errors else {},
             inside=loop.inside,
             events=loop.events,
+            texts=tuple(network.texts.changes),
             logs=tuple(copy(s.log) for s in network.slaves.values()),
             notes=network.notes + job.times.notes + loop.notes + loop.recorder.notes,
             problem=problem,
@@ -97,11 +109,14 @@ def run_job(
     return end
 
 
-def _step_to_end(loop: SimulationLoop, sink: TraceSink, between: Callable[[float], bool]) -> None:
+def _step_to_end(job: Job, loop: SimulationLoop, sink: TraceSink, between: Callable[[float], bool]) -> None:
     """Step from the start to the stop time."""
     with DeferredInterrupts() as interrupts:
-        loop.begin()
         state = loop.state
+        if not job.options.get("resume"):
+            loop.begin()
+        saved = asked(job.options, job.times)
+        state.pause = saved[1] if saved else np.inf
         while state.done < state.total:
             interrupts.check()
             try:
@@ -111,6 +126,10 @@ def _step_to_end(loop: SimulationLoop, sink: TraceSink, between: Callable[[float
                 raise
             if loop.errors:
                 loop.errors.collect(sink)
+            if state.t >= state.pause and saved:
+                save(saved[0], job, loop)
+                loop.notes += (f"the state at t = {state.t:.9g} s is in {saved[0]}",)
+                state.pause = np.inf
             if between(state.t):
                 state.total = state.done
 
@@ -132,17 +151,26 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
     signals = job.signals
     selected = None if signals is None else [job.system.port(name) for name in signals]
+    for port in selected or ():
+        if not (variable := job.system.variable(port)).is_number:
+            raise Problem(
+                f"record {port}: expected a number, got a {variable.kind}, of which changes are told"
+            )
     library()  # raises Problem if there is none, before any FMU is opened
     _check_instances(job.system)
-    events = uses_events(job.system, job.coupling)
+    events, located = uses_events(job.system, job.coupling), locates_events(job.system, job.coupling)
     with ExitStack() as stack:
         slaves: dict[str, Slave] = {}
         binding = Binding(allocate)
         stack.callback(binding.restore_environment)
         with archive_kept_open():
             for name, component in job.system.components.items():
-                if component.interface.event_mode and not events:
-                    component = replace(component, interface=replace(component.interface, event_mode=False))
+                face = component.interface
+                own = bool(job.coupling.method.step)
+                if face.event_mode and not (events and (located or own or face.has_clocks)):
+                    component = replace(component, interface=replace(face, event_mode=False))
+                elif face.event_mode and not located:
+                    component = replace(component, interface=replace(face, early_return=False))
                 slaves[name] = slave = job.options.get("open", open_slave)(component)
                 stack.callback(slave.close)
                 binding.restore_environment(slave)
@@ -248,6 +276,7 @@ class SimulationLoop:
 
     def __init__(self, job: Job, network: Network, sink: TraceSink, selected: Sequence[Port] | None) -> None:
         """selected: the recorded signals; None: all."""
+        check_saved(job)
         self.network, self.times = network, job.times
         self._binding, self.state = network.binding, network.binding.simulation
         master = job.coupling.method
@@ -269,7 +298,9 @@ class SimulationLoop:
         self._control = step_control(job)
         self._components = [*network.components.values()]
         self._threads_undecided = not (plan.sequential or master.step) and len(self._components) > 1
-        self._instants = Instants(network, inputs, job.times) if network.with_events else None
+        located = locates_events(job.system, job.coupling)
+        with_events = network.with_events
+        self._instants = Instants(network, inputs, job.times, located, sink) if with_events else None
         self._fill(prediction)
         if estimate and not master.step:
             errors = ErrorPropagation(network, inputs, max(job.times.every, FEWEST_STEPS))
@@ -291,6 +322,8 @@ class SimulationLoop:
         driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
         tolerances = {n: job.options.get("tolerance") or s.interface.tolerance for n, s in slaves.items()}
         stop = max(map(times.announced_stop, (1, *job.coupling.factors.values())))
+        if job.options.get("save_state"):  # an FMU may keep it with its state
+            stop = np.inf
         initialise(job.system, slaves, driven, (times.start, stop), tolerances)
         self._binding.logs = [slave.log for slave in slaves.values()]
 
@@ -310,12 +343,35 @@ class SimulationLoop:
 
     # ---- the run
 
-    def begin(self) -> None:
-        """Exchange all values at the start, and record them."""
+    def begin(self, resumed: bool = False) -> None:
+        """Exchange all values at the start, and record them; resumed: a saved run goes on instead."""
         if self._instants:
             self._instants.begin()
         self._binding.call("simulation_begin")
-        self.recorder.collect()
+        if not resumed:
+            self.recorder.collect()
+
+    def saved(self) -> dict[str, Any]:
+        """What a saved state has of the loop besides its memory."""
+        texts = [[str(port), text] for port, text in self.network.texts.last.items()]
+        events = self._instants.saved() if self._instants else []
+        return {"t": self.state.t, "events": events, "texts": texts, "changes": self.network.texts.changes}
+
+    def restore(self, memory: Sequence[NDArray[Any]], saved: Mapping[str, Any]) -> None:
+        """Go on from a saved state, whose FMUs follow."""
+        parts = self._binding.memory()
+        if [part.nbytes for part in parts] != [part.nbytes for part in memory]:
+            raise Problem(
+                f"expected the memory of the saved run, {len(memory)} arrays, got {len(parts)} others"
+            )
+        for part, content in zip(parts, memory, strict=True):
+            part[:] = content.view(part.dtype)
+        texts, system = self.network.texts, self.network.system
+        texts.last = {system.port(name): text for name, text in saved["texts"]}
+        texts.changes = [(t, name, text) for t, name, text in saved["changes"]]
+        if self._instants:
+            self._instants.resume(saved["events"])
+        self.recorder.resume()
 
     def advance(self) -> None:
         """Step until a block of points or estimated errors is full, for ADVANCE_TIME, or to the end."""
@@ -342,6 +398,7 @@ class SimulationLoop:
         for slave in self.network.slaves.values():
             slave.log.time = self.state.t
             slave.after_rollback()
+        self.network.texts.withdraw(self.state.t)
 
     # ---- structures for C
 
@@ -374,7 +431,8 @@ class SimulationLoop:
         sim = self.state
         sim.start, sim.step, sim.t, sim.total = times.start, times.step, times.start, times.steps
         sim.free, sim.patience, sim.shortest = times.free, ADVANCE_TIME, np.inf
-        sim.divided, sim.divided_count = self._binding.at(np.array(times.divided)), len(times.divided)
+        sim.divided, sim.divided_count = self._binding.constant(np.array(times.divided)), len(times.divided)
+        sim.pause = np.inf
         if c := self._control:
             sim.step_size = self._binding.pointer(c.struct(self._binding.h, self._inputs.power))
             sim.error_tolerance = c.tolerance

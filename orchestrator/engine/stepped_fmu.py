@@ -9,7 +9,7 @@ a step ends before an event (`AtEvent`); else events take place inside of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import factorial
 from typing import Any
@@ -203,6 +203,31 @@ class SteppedFmu(ExchangeFmu):
         self._course[0], self._course[1:] = state.v, 0.0
         integration.evaluate(state.time, state.x)
 
+    def saved(self) -> dict[str, Any]:
+        """Its state and that of its integration, as arrays, for another process."""
+        integration, radau = self._running, self._running.radau
+        parts = {f"memory_{k}": part for k, part in enumerate(self._plant.memory())}
+        parts |= {f"radau_{n}": v for n, v in vars(radau).items() if n != "_of"} if radau else {}
+        mine = {"time": self._time, "course": self._course, "sides": integration.sides}
+        happened = {"happened": np.array(self.happened, float), "next_of_plant": self._plant.next_event}
+        return {**super().saved(), **parts, **mine, **happened}
+
+    def resume(self, saved: Mapping[str, Any]) -> None:
+        """Go on from a state of `saved`."""
+        super().resume(saved)
+        integration = self._running
+        for k, part in enumerate(self._plant.memory()):
+            part[:] = saved[f"memory_{k}"].view(part.dtype)
+        self._time, self._course[:] = float(saved["time"]), saved["course"]
+        self._plant.next_event = float(saved["next_of_plant"])
+        integration.restart()
+        integration.sides = saved["sides"]
+        integration.happened[:] = [(t, ()) for t in saved["happened"].tolist()]
+        radau = {n.removeprefix("radau_"): v for n, v in saved.items() if n.startswith("radau_")}
+        if radau:
+            integration.radau = Radau(integration)
+            vars(integration.radau).update({n: v if v.ndim else v.item() for n, v in radau.items()})
+
     def free_state(self, state: Any) -> None:
         """Free a saved state."""
         if self._saves:
@@ -219,7 +244,7 @@ class _Stepped(Integration):
         """course: coefficients of the inputs, by power of time since the start of the step."""
         super().__init__(plant, tolerance, 0.0)
         self._fmu, self._course, self._begin = fmu, course, 0.0
-        self._radau: Radau | None = None
+        self.radau: Radau | None = None
         self.sides = self._sides_now()
 
     def evaluate(self, t: float, x: Array) -> None:
@@ -229,12 +254,12 @@ class _Stepped(Integration):
 
     def solver(self, t: float, x: Array, target: float) -> Solver:
         """A solver that begins at a time [s] and a state."""
-        self._radau = self._radau or Radau(self)
-        return self._radau.toward(target, t, x)
+        self.radau = self.radau or Radau(self)
+        return self.radau.toward(target, t, x)
 
     def event(self, t: float, x: Array) -> Array:
         """Event mode at a time; the states after it. The FMU may change magnitudes there."""
-        self._radau = None
+        self.radau = None
         if self._fmu.stops:
             self.settle(t, x)
             raise AtEvent(t)
@@ -254,7 +279,7 @@ class _Stepped(Integration):
 
     def restart(self) -> None:
         """Begin anew after an event of the FMU."""
-        self._radau, self._at = None, (np.nan, b"")
+        self.radau, self._at = None, (np.nan, b"")
         self.sides = self._sides_now()
 
     def over(self, t: float, begin: float, h: float) -> float:

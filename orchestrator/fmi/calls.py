@@ -32,6 +32,8 @@ class Slave(Protocol):
 
     setup                     set up the experiment; times in [s]
     enter, exit               enter and leave initialisation mode
+    set, configure            set a variable, or an array by all its values; set structural parameters
+    reads                     has the component a function that gets a variable?
     reader, writer            calls that get variables into an array, or set them from an array
     output_derivative_reader, input_derivative_writer   the same for first time derivatives
     directional_derivative    call that computes the change of unknowns when knowns change along `seed`
@@ -51,7 +53,9 @@ class Slave(Protocol):
     def enter(self) -> None: ...
     def exit(self) -> None: ...
     def get(self, variable: str) -> Value: ...
-    def set(self, variable: str, value: Value) -> None: ...
+    def reads(self, variable: FmuVariable) -> bool: ...
+    def set(self, variable: str, value: Value | Sequence[Value]) -> None: ...
+    def configure(self, sizes: Mapping[str, Any]) -> None: ...
     def reader(self, variables: Sequence[str], into: Buffer) -> Call: ...
     def writer(self, variables: Sequence[str], values: Buffer) -> Call: ...
     def output_derivative_reader(self, variables: Sequence[str], into: Buffer) -> Call: ...
@@ -87,31 +91,47 @@ def calls_by_type(slave: Slave, names: Sequence[str], values: Buffer, make: Make
     return calls
 
 
+def set_starts(slave: Slave, start: Mapping[str, Value]) -> None:
+    """Set start values: structural parameters first, in one configuration mode; arrays whole.
+
+    start   values of all elements of an array, or of none
+    """
+    variables = slave.interface.variables
+    sizes = {n: v for n, v in start.items() if variables[n].causality == "structuralParameter"}
+    if sizes:
+        slave.configure(sizes)
+    for name, value in start.items():
+        array = variables[name].array
+        if array is None and name not in sizes:
+            slave.set(name, value)
+        elif array and variables[name].position == 0:
+            slave.set(array.name, [start[element] for element in array.elements])
+
+
 def address(values: Buffer) -> ctypes.c_void_p:
     """Address of an array, which the caller must keep alive."""
     return ctypes.c_void_p(values.ctypes.data)
 
 
 def to_ctypes(variable: FmuVariable, ctype: Any, value: Value) -> Any:
-    """A value as an object of a ctypes type."""
-    if variable.kind == "String":
-        return ctypes.c_char_p(str(value).encode())
+    """A value as an element of an array of a ctypes type."""
+    if variable.kind in TEXTS:
+        return str(value).encode()
     if variable.is_real:
-        return ctype(float(value))
-    cell = ctype(int(value))
-    if cell.value != int(value) and variable.kind != "Boolean":
+        return float(value)
+    if ctype(int(value)).value != int(value) and variable.kind != "Boolean":
         raise Problem(f"{variable.name}: expected a value in the range of {variable.type}, got {value}")
-    return cell
+    return int(value)
 
 
-def from_ctypes(variable: FmuVariable, cell: Any) -> Value:
-    """The value of a ctypes object."""
-    if variable.kind == "String":
-        return (cell.value or b"").decode(errors="replace")
-    value: Value = cell.value
+def from_ctypes(variable: FmuVariable, value: Any) -> Value:
+    """The value of an element of a ctypes array."""
+    if variable.kind in TEXTS:
+        return (value or b"").decode(errors="replace")
     return bool(value) if variable.kind == "Boolean" else value
 
 
+TEXTS = ("String", "Binary")  # kinds of values that are no numbers; a Binary is a text of hexadecimal digits
 OUT_OF_RANGE = -1  # status of a call from C: an integer is out of the range of the target type
 
 
@@ -120,12 +140,12 @@ class Access:
     """A get or set function of an FMU with fixed arguments, executable from Python and from C.
 
     call         bound call from Python, which checks the status
-    references   value references, shape (n,)
-    orders       orders of derivatives, shape (n,); None for values
+    references   value references, shape (m,); those of an array are one for all its elements
+    orders       orders of derivatives, shape (m,); None for values
     fmu_values   values in the type of the FMU, shape (n,)
     values       values of the run, shape (n,); the same array as `fmu_values` if the types agree
     sets         True for a set function
-    names        names of the variables
+    names        names of the variables, n
     """
 
     call: BoundCall

@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
+from fractions import Fraction
 from functools import partial
 from typing import Any
 
@@ -22,6 +23,7 @@ from orchestrator.fmi.calls import (
     address,
     compatible_buffer,
     from_ctypes,
+    set_starts,
     to_ctypes,
 )
 from orchestrator.fmi.description import FmuVariable, Value
@@ -42,13 +44,15 @@ class RunningFmu:
     next_event   time of its next time event, as far as it has event mode between steps [s]
     """
 
-    event_mode = in_events = False
+    event_mode = in_events = _asks = False
     next_event = float("inf")
 
     def __init__(self, name: str, interface: FmuInterface, fmu: Location, after: AfterCall = None) -> None:
         """`after`: see `FmuInstance`."""
         self.name, self.interface, self.log = name, interface, Log(name, interface.marks)
         self._label, self._stepping, self._after = f"{name} ({fmu})", False, after
+        self._clock_calls = dict[tuple[str, str], tuple[Call, Any]]()
+        self._given = dict[str, list[Value]]()  # values of arrays, until the initialisation mode
         self._cleanup = ExitStack()
         try:
             self._open(fmu)
@@ -86,11 +90,12 @@ class RunningFmu:
             call()
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
-        """Announce the experiment; times in [s]."""
-        self.fmu.setup(start, stop, tolerance)
+        """Announce the experiment; times in [s], an infinite stop time is none."""
+        self.fmu.setup(start, stop if np.isfinite(stop) else None, tolerance)
 
     def enter(self) -> None:
         """Enter initialisation mode."""
+        self._given.clear()
         self.fmu.enter()
 
     def exit(self) -> None:
@@ -106,6 +111,20 @@ class RunningFmu:
                 self.fmu.call("Terminate")
         self._cleanup.close()
 
+    def saved(self) -> dict[str, Any]:
+        """Its serialised state and what this project adds, as arrays, for another process."""
+        state = self.fmu.save()
+        data = self.fmu.serialize(state)
+        self.fmu.free_state(state)
+        return {"state": np.frombuffer(data, np.uint8), "next_event": self.next_event}
+
+    def resume(self, saved: Mapping[str, Any]) -> None:
+        """Go on from a state of `saved`."""
+        state = self.fmu.deserialize(bytes(saved["state"]))
+        self.fmu.restore(state)
+        self.fmu.free_state(state)
+        self.next_event = float(saved["next_event"])
+
     def after_rollback(self) -> None:
         """Discard the messages and the status of a step that will be repeated from a saved state."""
         self.log.discard_repeated()
@@ -119,16 +138,25 @@ class RunningFmu:
 
     # ---- several variables of one type
 
-    def _references(self, variables: Sequence[str]) -> list[int]:
-        return [self.interface.variables[v].reference for v in variables]
+    def _wholes(self, variables: Sequence[str]) -> tuple[list[FmuVariable], Sequence[str]]:
+        """The arrays and scalars of some variables, and all their elements, as FMI functions take them."""
+        declared = [self.interface.variables[v] for v in variables]
+        if not any(v.array for v in declared):
+            return declared, [*variables]
+        wholes = [*dict.fromkeys(v.array or v for v in declared)]
+        return wholes, [name for whole in wholes for name in whole.elements]
 
     def _access(
         self, function: str, variables: Sequence[str], values: Buffer, type_: str, orders: Sequence[int] = ()
-    ) -> Access:
+    ) -> Access | Call:
         """A bound call of a function that gets or sets variables of an FMI type."""
-        count, references = len(variables), self._references(variables)
+        wholes, elements = self._wholes(variables)
+        count, references = len(variables), [whole.reference for whole in wholes]
+        if elements != [*variables]:
+            return self._part(function, variables, elements, values, type_)
+        orders = orders[: len(references)]
         fmu_values = compatible_buffer(values, count, self.fmu.types[type_])
-        order_argument = [(ctypes.c_int * count)(*orders)] if orders else []
+        order_argument = [(ctypes.c_int * len(orders))(*orders)] if orders else []
         value_arguments = self.fmu.values(address(fmu_values), count)
         arguments = *self.fmu.references(references), *order_argument, *value_arguments
         return Access(
@@ -141,6 +169,31 @@ class RunningFmu:
             names=variables,
         )
 
+    def _part(
+        self, function: str, variables: Sequence[str], elements: Sequence[str], values: Buffer, type_: str
+    ) -> Call:
+        """A call for a part of the elements of arrays, which an FMU gets and sets whole.
+
+        To set some, all are read before; `_given` has them before the initialisation mode.
+        """
+        index = {name: k for k, name in enumerate(elements)}
+        part, buffer = np.array([index[v] for v in variables]), np.zeros(len(elements), values.dtype)
+        orders = [1] * len(elements) if "Derivatives" in function else []
+        access = self._access(function, elements, buffer, type_, orders)
+
+        def read() -> None:
+            access()
+            values[: len(part)] = buffer[part]
+
+        def write() -> None:
+            for whole in self._wholes(variables)[0]:
+                first = index[whole.elements[0]]
+                buffer[first : first + whole.size] = self._values(whole)
+            buffer[part] = values[: len(part)]
+            access()
+
+        return read if function.startswith("Get") else write
+
     def _hint(self, variables: Sequence[str]) -> str:
         """Why outputs are read after inputs are set without a step, which FMI 2.0 does not allow."""
         face = self.interface
@@ -152,11 +205,12 @@ class RunningFmu:
         reason = reason if face.dependencies.get(y) is not None else f"declares no dependencies of {y}"
         return f" (read after inputs were set, because the FMU {reason}: FMI 2.0, 4.2.4)"
 
-    def reader(self, variables: Sequence[str], into: Buffer) -> Access:
+    def reader(self, variables: Sequence[str], into: Buffer) -> Access | Call:
         """A call that gets the variables and stores them in `into`, shape (n,)."""
         type_ = self.interface.variables[variables[0]].function_type
         access = self._access(f"Get{type_}", variables, into, type_)
-        access.call.check_status = partial(access.call.check_status, hint=self._hint(variables))
+        if isinstance(access, Access):
+            access.call.check_status = partial(access.call.check_status, hint=self._hint(variables))
         return access
 
     def writer(self, variables: Sequence[str], values: Buffer) -> Call:
@@ -189,7 +243,7 @@ class RunningFmu:
 
         return set_all
 
-    def output_derivative_reader(self, variables: Sequence[str], into: Buffer) -> Access:
+    def output_derivative_reader(self, variables: Sequence[str], into: Buffer) -> Access | Call:
         """A call that gets the first time derivatives of outputs and stores them in `into`, shape (n,)."""
         return self._access("GetOutputDerivatives", variables, into, self._real, [1] * len(variables))
 
@@ -218,12 +272,25 @@ class RunningFmu:
 
     def directional_derivative(
         self, unknowns: Sequence[str], knowns: Sequence[str], seed: Buffer, into: Buffer
-    ) -> DirectionalDerivative:
+    ) -> DirectionalDerivative | Call:
         """A call that computes the change of the unknowns when the knowns change along `seed`.
 
         seed, into   shapes (len(knowns),) and (len(unknowns),)
         """
-        unknown_references, known_references = self._references(unknowns), self._references(knowns)
+        (of_unknowns, all_unknowns), (of_knowns, all_knowns) = self._wholes(unknowns), self._wholes(knowns)
+        if all_unknowns != [*unknowns] or all_knowns != [*knowns]:  # other elements do not change
+            whole_seed, result = np.zeros(len(all_knowns)), np.zeros(len(all_unknowns))
+            inner = self.directional_derivative(all_unknowns, all_knowns, whole_seed, result)
+            to, of = [all_knowns.index(v) for v in knowns], [all_unknowns.index(v) for v in unknowns]
+
+            def derive() -> None:
+                whole_seed[to] = seed
+                inner()
+                into[:] = result[of]
+
+            return derive
+        unknown_references = [v.reference for v in of_unknowns]
+        known_references = [v.reference for v in of_knowns]
         arguments = [*self.fmu.references(unknown_references), *self.fmu.references(known_references)]
         for values, count in ((seed, len(knowns)), (into, len(unknowns))):
             buffer = compatible_buffer(values, count, ctypes.c_double)
@@ -239,30 +306,105 @@ class RunningFmu:
     def get(self, variable: str) -> Value:
         """Get one variable of any type."""
         declared = self.interface.variables[variable]
-        cell = self.fmu.types[declared.function_type]()
-        self._call_single("Get", declared, cell)
-        return from_ctypes(declared, cell)
+        return self._values(declared.array or declared)[declared.position]
 
-    def set(self, variable: str, value: Value) -> None:
-        """Set one variable of any type; if it is not continuous, in event mode if there is one."""
-        declared = self.interface.variables[variable]
+    def reads(self, variable: FmuVariable) -> bool:
+        """Has its library a function that gets a variable?"""
+        return self.fmu.library.has(f"Get{variable.function_type}")
+
+    def _values(self, whole: FmuVariable) -> list[Value]:
+        """The values of an array or a scalar; before the initialisation mode those that were set."""
+        if whole.name in self._given:
+            return self._given[whole.name]
+        if whole.kind == "Binary":
+            pointers, sizes = (ctypes.c_void_p * whole.size)(), (ctypes.c_size_t * whole.size)()
+            references = self.fmu.references([whole.reference])
+            self.fmu.call("GetBinary", *references, sizes, *self.fmu.values(pointers, whole.size))
+            return [ctypes.string_at(p, n).hex() if p else "" for p, n in zip(pointers, sizes, strict=True)]
+        cells = (self.fmu.types[whole.function_type] * whole.size)()
+        self._call_whole("Get", whole, cells)
+        return [from_ctypes(whole, cell) for cell in cells]
+
+    def set(self, variable: str, value: Any) -> None:
+        """Set one variable of any type, or an array by the values of all its elements.
+
+        If it is not continuous, in event mode if there is one.
+        """
+        declared = self.interface.arrays.get(variable) or self.interface.variables[variable]
+        if declared.causality == "structuralParameter":
+            self.configure({variable: value})
+            return
         if self.event_mode and self._stepping and not (self.in_events or declared.is_continuous):
             if self.get(variable) != value:
-                self.event_alone(partial(self._set, variable, value))
+                self.event_alone(partial(self._set, declared, value))
             return
-        self._set(variable, value)
+        self._set(declared, value)
 
-    def _set(self, variable: str, value: Value) -> None:
-        declared = self.interface.variables[variable]
-        cell = to_ctypes(declared, self.fmu.types[declared.function_type], value)
-        structural = declared.causality == "structuralParameter"
-        if structural:
-            self.fmu.call("EnterConfigurationMode")
-        self._call_single("Set", declared, cell)
-        if structural:
-            self.fmu.call("ExitConfigurationMode")
+    def _set(self, declared: FmuVariable, value: Any) -> None:
+        whole, values = declared.array or declared, [value]
+        if declared.array:
+            values = [*self._values(whole)]
+            values[declared.position] = value
+        elif declared.shape:
+            values = [*value]
+            self._given[declared.name] = values
+        ctype = self.fmu.types[whole.function_type]
+        if whole.kind == "Binary":
+            data = [bytes.fromhex(str(v)) for v in values]
+            sizes = (ctypes.c_size_t * len(data))(*map(len, data))
+            references, cells = self.fmu.references([whole.reference]), (ctype * len(data))(*data)
+            self.fmu.call("SetBinary", *references, sizes, *self.fmu.values(cells, len(data)))
+            return
+        cells = (ctype * len(values))(*(to_ctypes(declared, ctype, v) for v in values))
+        self._call_whole("Set", whole, cells)
+
+    def configure(self, sizes: Mapping[str, Any]) -> None:
+        """Set structural parameters."""
+        self.fmu.call("EnterConfigurationMode")
+        for name, value in sizes.items():
+            self._set(self.interface.variables[name], value)
+        self.fmu.call("ExitConfigurationMode")
 
     # ---- event mode
+
+    def asks_for_event(self) -> bool:
+        """Has it asked for event mode at the end of a step since the last call?"""
+        asks, self._asks = self._asks, False
+        return asks
+
+    def tick(self, clock: str) -> None:
+        """Let an input clock tick, in event mode."""
+        self._clock_call("SetClock", clock)[0]()
+
+    def ticks(self, clock: str) -> bool:
+        """Does an output clock tick?"""
+        call, ticks = self._clock_call("GetClock", clock)
+        call()
+        return bool(ticks[0])
+
+    def _clock_call(self, function: str, clock: str) -> tuple[Call, Any]:
+        """A bound call of a clock, and its argument."""
+        if (function, clock) not in self._clock_calls:
+            references = self.fmu.references([self.interface.variables[clock].reference])
+            ticks = (ctypes.c_bool * 1)(function == "SetClock")
+            call = self.fmu.bound(function, *references, ticks, variables=[clock])
+            self._clock_calls[function, clock] = call, ticks
+        return self._clock_calls[function, clock]
+
+    def interval(self, clock: FmuVariable) -> tuple[int, Fraction]:
+        """fmi3IntervalQualifier and interval of a clock [s], as a fraction if the FMU has them."""
+        references, qualifiers = self.fmu.references([clock.reference]), (ctypes.c_int * 1)()
+        if clock.get("supportsFraction") == "true":
+            counters, resolutions = (ctypes.c_uint64 * 1)(), (ctypes.c_uint64 * 1)(1)
+            self.fmu.call(
+                "GetIntervalFraction", *references, counters, resolutions, qualifiers, variables=[clock.name]
+            )
+            return qualifiers[0], Fraction(counters[0], resolutions[0] or 1)
+        intervals = (ctypes.c_double * 1)()
+        self.fmu.call("GetIntervalDecimal", *references, intervals, qualifiers, variables=[clock.name])
+        if not np.isfinite(intervals[0]):
+            raise Problem(f"{self.name}.{clock.name}: expected an interval in seconds, got {intervals[0]}")
+        return qualifiers[0], Fraction(repr(intervals[0]))
 
     def enter_events(self) -> None:
         """Enter event mode, at the end of a step."""
@@ -300,8 +442,8 @@ class RunningFmu:
         ended.reached = t
         return ended
 
-    def _call_single(self, verb: str, variable: FmuVariable, cell: Any) -> None:
-        arguments = *self.fmu.references([variable.reference]), *self.fmu.values(ctypes.byref(cell), 1)
+    def _call_whole(self, verb: str, variable: FmuVariable, cells: Any) -> None:
+        arguments = *self.fmu.references([variable.reference]), *self.fmu.values(cells, len(cells))
         self.fmu.call(verb + variable.function_type, *arguments, variables=[variable.name])
 
 
@@ -406,8 +548,7 @@ class CoSimulationFmu(RunningFmu):
         other = CoSimulationFmu(self.name, interface, self._source, after=self.fmu.after)
         try:
             other.setup(0.0, 1.0, None)
-            for variable, value in self._start.items():
-                other.set(variable, value)
+            set_starts(other, self._start)
             other.enter()
             other.exit()
         except Problem:
@@ -449,7 +590,9 @@ class CoSimulationFmu(RunningFmu):
         if end.early:
             text = f"ended early at {at}{'' if outside else ', which was not allowed'}"
             raise Problem(self.log.error_message("the step", text))
-        if end.event:
+        if end.event and self.event_mode:
+            self._asks = True
+        elif end.event:
             text = "the FMU requests event handling by the master, which is switched off"
             self.log.add(WARNING, f"{text} (event mode is not used)")
 

@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cached_property
+from itertools import product
 
 from orchestrator.base.units import BASES, DeclaredUnit
 from orchestrator.base.xml import Element, attributes_of, child, children, local_name
@@ -26,7 +28,7 @@ TYPES = (*NUMERIC, "String", "Binary", "Clock")
 KINDS = {  # type -> type in FMI 2.0, for those that can be run
     **dict.fromkeys(FLOATS, "Real"),
     **dict.fromkeys((*SIGNED, *UNSIGNED), "Integer"),
-    **{kind: kind for kind in ("Boolean", "String", "Enumeration")},
+    **{kind: kind for kind in ("Boolean", "String", "Enumeration", "Binary", "Clock")},
 }
 MAX_LOCALS = 100  # local variables that are observed if the FMU has no outputs
 BOOLEANS = {"true": 1.0, "false": 0.0}
@@ -121,7 +123,9 @@ class FmuVariable(Entry):
     definition   the declared type, if it exists
     fmi          FMI version
     shape        of an array (FMI 3.0); None for a dimension that is not a number; () for a scalar
+    sizes        value reference of the structural parameter that is the size of each dimension; None: fixed
     aliases      further names (FMI 3.0)
+    array        of an element: the array that has it; position: its place there, row by row
     """
 
     name: str
@@ -135,19 +139,54 @@ class FmuVariable(Entry):
     definition: TypeDefinition | None = None
     fmi: int = 2
     shape: tuple[int | None, ...] = ()
+    sizes: tuple[int | None, ...] = ()
     aliases: tuple[Entry, ...] = ()
+    array: FmuVariable | None = None
+    position: int = 0
 
     def __str__(self) -> str:
         return f"modelDescription.xml line {self.line}: {self.name}"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The name and the aliases."""
-        return self.name, *(a.get("name") for a in self.aliases)
+        """The name and the aliases; those of an array are the names of its elements."""
+        names = self.name, *(a.get("name") for a in self.aliases)
+        return tuple(e for name in names for e in self._elements_of(name)) if self.shape else names
+
+    @cached_property
+    def elements(self) -> tuple[str, ...]:
+        """The names of the elements of an array, row by row: y[1,1], y[1,2] ...; the name of a scalar."""
+        return tuple(self._elements_of(self.name)) if self.shape else (self.name,)
+
+    def _elements_of(self, name: str) -> Iterator[str]:
+        places = product(*(range(1, (n or 0) + 1) for n in self.shape))
+        return (f"{name}[{','.join(map(str, place))}]" for place in places)
+
+    @property
+    def scalars(self) -> Iterator[FmuVariable]:
+        """The elements of an array as scalar variables; a scalar itself. One start value is that of all."""
+        if not self.shape:
+            yield self
+            return
+        starts = (self.starts or ()) * (self.size if len(self.starts or ()) == 1 else 1)
+        for k, name in enumerate(self.elements):
+            start = (starts[k],) if starts else None
+            yield replace(
+                self, name=name, shape=(), sizes=(), aliases=(), starts=start, array=self, position=k
+            )
+
+    def sized(self, lengths: Mapping[int, int]) -> FmuVariable:
+        """The variable with other values of structural parameters, by reference; start values must fit."""
+        pairs = zip(self.shape, self.sizes, strict=True)
+        shape = tuple(n if of is None else lengths.get(of, n) for n, of in pairs)
+        if shape == self.shape:
+            return self
+        fits = len(self.starts or ()) in (1, math.prod(n or 0 for n in shape))
+        return replace(self, shape=shape, starts=self.starts if fits else None)
 
     @property
     def kind(self) -> str:
-        """The type in FMI 2.0: Real, Integer, Boolean, String or Enumeration; empty for other types."""
+        """The type in FMI 2.0: Real, Integer, Boolean, String or Enumeration; Binary or Clock."""
         return KINDS.get(self.type, "")
 
     @property
@@ -180,7 +219,7 @@ class FmuVariable(Entry):
     @property
     def is_continuous(self) -> bool:
         """True for a real variable that can change inside a step, which is neither discrete nor tunable."""
-        return self.is_real and self.variability == "continuous"
+        return self.is_real and self.variability == "continuous" and not self.clocks
 
     @property
     def is_number(self) -> bool:
@@ -194,8 +233,20 @@ class FmuVariable(Entry):
         )
 
     @property
+    def clocks(self) -> tuple[int | None, ...]:
+        """The value references of the clocks that it belongs to."""
+        return tuple(map(parse_int, self.get("clocks").split()))
+
+    @property
     def clocked(self) -> bool:
         return bool(self.get("clocks")) or self.type == "Clock"
+
+    def fraction(self, name: str) -> Fraction | None:
+        """`interval` or `shift` of a clock [s], exactly as it is declared; None if it is not."""
+        if decimal := self.get(f"{name}Decimal"):
+            return Fraction(decimal)
+        counter, resolution = parse_int(self.get(f"{name}Counter")), parse_int(self.get("resolution"))
+        return None if counter is None or not resolution else Fraction(counter, resolution)
 
     @property
     def description(self) -> str:
@@ -362,6 +413,16 @@ class ModelDescription(Entry):
         """The variables of some causalities."""
         return tuple(v for v in self.variables if v.causality in causalities)
 
+    def resized(self, lengths: Mapping[int, int]) -> ModelDescription:
+        """The description with other values of structural parameters, by value reference."""
+        sized = {v: v.sized(lengths) for v in self.variables}
+        structure = {
+            section: tuple(replace(u, variable=sized.get(u.variable) if u.variable else None) for u in of)
+            for section, of in self.structure.items()
+        }
+        by_key = {key: sized[v] for key, v in self.by_key.items()}
+        return replace(self, variables=tuple(sized.values()), by_key=by_key, structure=structure)
+
     @property
     def token(self) -> str:
         """GUID or instantiation token."""
@@ -505,7 +566,7 @@ def _variable(
     if not starts and "start" in attributes:
         many = major == 3 and type_ not in ("String", "Binary")
         starts = tuple(attributes["start"].split()) if many else (attributes["start"],)
-    dimensions = children(e, "Dimension") if major == 3 else ()
+    dimensions = [*children(e, "Dimension")] if major == 3 else []
     return FmuVariable(
         line=e.sourceline,
         attributes=complete,
@@ -519,7 +580,11 @@ def _variable(
         initial=attributes.get("initial", allowed[0] if allowed else ""),
         unit=unit,
         starts=starts if starts or "start" in attributes else None,
-        shape=tuple(parse_int(d.get("start", lengths.get(d.get("valueReference")))) for d in dimensions),
+        shape=tuple(
+            parse_int(d.get("start")) if d.get("start") else lengths.get(d.get("valueReference"))
+            for d in dimensions
+        ),
+        sizes=tuple(None if d.get("start") else parse_int(d.get("valueReference")) for d in dimensions),
         aliases=tuple(map(_entry, children(e, "Alias"))),
     )
 

@@ -39,6 +39,7 @@ TYPES: dict[int, dict[str, Any]] = {  # FMI version -> type in the name of a fun
         "Float32": ctypes.c_float,
         "Boolean": ctypes.c_bool,
         "String": ctypes.c_char_p,
+        "Binary": ctypes.c_char_p,
         **{f"{u}Int{n}": getattr(ctypes, f"c_{u.lower()}int{n}") for u in ("", "U") for n in (8, 16, 32, 64)},
     },
 }

@@ -29,6 +29,7 @@ from orchestrator.fmi.description import (
 
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
 MAX_LISTED = 5  # unsupported variables in a note
+MAX_ELEMENTS = 10_000  # of an array, which are signals each
 # bytes of a description whose interface is kept: 2500 variables, ten times as much in memory; number of them
 LONGEST_KEPT, MOST_KEPT = 1 << 20, 64
 # field of `FmuInterface` -> attribute of the interface type that declares it, in FMI 2.0 and in FMI 3.0
@@ -48,7 +49,8 @@ CAPABILITIES = {
 class FmuInterface:
     """The declared interface of an FMU.
 
-    variables              supported scalar variables, by name
+    variables              supported variables, by name; of an array its elements
+    arrays                 supported arrays, by name
     model                  the whole model description
     dependencies           output or state derivative -> inputs and states; None if not declared
     initial_dependencies   output -> variables it depends on in initialisation mode; None if not declared
@@ -100,6 +102,7 @@ class FmuInterface:
     step: float | None = None
     stop: float | None = None
     tolerance: float | None = None
+    arrays: Mapping[str, FmuVariable] = field(default_factory=dict)
 
     def nominal(self, name: str) -> float:
         """The nominal value of a variable; if it declares none, that of FMI, 1, or 0 if no variable does."""
@@ -117,7 +120,16 @@ class FmuInterface:
     @cached_property
     def marks(self) -> dict[str, str]:
         """Mark of a variable in messages of FMUs -> its name."""
-        return {v.mark: v.name for v in self.variables.values()}
+        return {v.mark: (v.array or v).name for v in self.variables.values()}
+
+    def resized(self, values: Mapping[str, Any]) -> "FmuInterface":
+        """The interface with other values of structural parameters, which are sizes of arrays."""
+        sizes = {of for v in self.arrays.values() for of in v.sizes}
+        of_parameters = {v.reference: n for n, v in self.variables.items() if v.reference in sizes}
+        lengths = {k: int(values[n]) for k, n in of_parameters.items() if n in values}
+        if all(v.sized(lengths) is v for v in self.arrays.values()):
+            return self
+        return _checked(self.model.resized(lengths), self.kind)
 
     @cached_property
     def positions(self) -> dict[str, int]:
@@ -160,6 +172,10 @@ class FmuInterface:
         dependencies = [self.dependencies.get(rate) for rate in self.states.values()]
         return any(names is None or variable in names for names in dependencies)
 
+    @cached_property
+    def has_clocks(self) -> bool:
+        return any(v.kind == "Clock" for v in self.variables.values())
+
     @property
     def has_events(self) -> bool:
         """May the FMU have events inside a step, as far as its description says?"""
@@ -183,7 +199,7 @@ class FmuInterface:
         """Refuse an unsupported variable; `where` is the beginning of the message."""
         if variable in self.unsupported:
             type_ = self.unsupported[variable]
-            raise Unsupported(f"{where}: expected a scalar number or text, got {type_}, not supported")
+            raise Unsupported(f"{where}: expected a number or text, got {type_}, not supported")
 
     @property
     def unsupported_note(self) -> str:
@@ -236,10 +252,14 @@ def _read_interface(fmu: Location, text: bytes, kind: str) -> FmuInterface:
         refusal = NotExchangeable if kind == MODEL_EXCHANGE else Problem
         raise refusal(f"{fmu}: expected an FMU for {expected}, got one for {got} only")
     try:
-        interface = _interface(description, element)
-        return interface if element == CO_SIMULATION else _integrated(interface)
+        return _checked(description, element)
     except Problem as problem:
         raise Problem(f"{fmu}: {problem}") from None
+
+
+def _checked(description: ModelDescription, element: str) -> FmuInterface:
+    interface = _interface(description, element)
+    return interface if element == CO_SIMULATION else _integrated(interface)
 
 
 def _integrated(interface: FmuInterface) -> FmuInterface:
@@ -258,18 +278,22 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         if u.declared.fault:
             raise Problem(f"modelDescription.xml line {u.line}: unit {u.name}: {u.declared.fault}")
     declared = list(_with_aliases(description))
-    for name, count in Counter(v.name for v in declared).most_common(1):
+    unsupported = {v.name: type_ for v in declared if (type_ := _unsupported_type(v))}
+    supported = [v for v in declared if v.name not in unsupported]
+    for v in supported:
+        _check_variable(v)
+    scalars = [scalar for v in supported for scalar in v.scalars]
+    for name, count in Counter([*(v.name for v in scalars), *unsupported]).most_common(1):
         if count > 1:
-            lines = ", ".join(str(v.line) for v in declared if v.name == name)
+            lines = ", ".join(str(v.line) for v in [*scalars, *declared] if v.name == name)
             raise Problem(
                 f"modelDescription.xml: expected one variable {name!r}, got {count}, in lines {lines}"
             )
-    unsupported = {v.name: type_ for v in declared if (type_ := _unsupported_type(v))}
-    variables = {v.name: v for v in declared if v.name not in unsupported}
-    for v in variables.values():
-        _check_variable(v)
+    variables = {v.name: v for v in scalars}
     _check_identity(description, capabilities)
-    _check(variables, unsupported, declared)
+    _check(
+        variables, unsupported, declared, element == CO_SIMULATION and capabilities.declares("hasEventMode")
+    )
     inputs = {name for name, v in variables.items() if v.causality == "input"}
     outputs, derivatives, initial = (
         _dependencies(description, description.structure[section])
@@ -285,6 +309,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
     indicators = parse_int(description.get("numberOfEventIndicators")) or 0
     return FmuInterface(
         variables=variables,
+        arrays={v.name: v for v in supported if v.shape},
         dependencies=derivatives | outputs,
         initial_dependencies=outputs | initial,
         kind=element,
@@ -318,24 +343,35 @@ def _with_aliases(description: ModelDescription) -> Iterator[FmuVariable]:
 
 def _unsupported_type(v: FmuVariable) -> str:
     """The type of an unsupported variable, for messages; empty for supported variables."""
-    if v.clocked:
-        return "a clock" if v.type == "Clock" else f"a clocked {v.type}"
     if not v.kind:
         return f"a variable of type {v.type}"
-    return f"an array of shape ({', '.join(map(str, v.shape))})" if v.shape else ""
+    if None in v.shape or v.size > MAX_ELEMENTS:
+        shape = ", ".join("?" if n is None else str(n) for n in v.shape)
+        return f"an array of shape ({shape}), of known sizes and {MAX_ELEMENTS} elements at most"
+    return ""
 
 
 def _check(
-    variables: Mapping[str, FmuVariable], unsupported: Mapping[str, str], declared: Iterable[FmuVariable]
+    variables: Mapping[str, FmuVariable],
+    unsupported: Mapping[str, str],
+    declared: Iterable[FmuVariable],
+    event_mode: bool,
 ) -> None:
-    """Refuse an FMU that cannot be run: with clocks, with arrays only, or with a time not in seconds."""
-    for name, type_ in unsupported.items():
-        if "clock" in type_:  # such an FMU needs event mode
-            raise Problem(f"{name} is {type_}: expected an FMU without clocks, they are not supported")
+    """Refuse an FMU that cannot be run: clocks without event mode, no numbers, a time not in seconds."""
+    for v in variables.values():
+        try:
+            if v.clocked and not event_mode:
+                raise Problem(
+                    f"{v.name} has a clock: expected Co-Simulation with event mode, got an FMU without"
+                )
+            if v.kind == "Clock" and [p for n in ("interval", "shift") if (p := v.fraction(n) or 0) < 0]:
+                raise ValueError(f"{v.get('intervalDecimal') or v.get('shiftDecimal')!r}")
+        except ValueError as error:
+            raise Problem(f"{v}: expected interval and shift of a clock in seconds, got {error}") from None
     ports = [v.name for v in declared if v.causality in ("input", "output")]
-    if ports and not any(name in variables for name in ports):
+    if ports and all(name in unsupported for name in ports):
         first = f"{ports[0]} is {unsupported[ports[0]]}"
-        raise Problem(f"{first}: expected an FMU with scalar inputs or outputs, arrays are not supported")
+        raise Problem(f"{first}: expected an FMU with inputs or outputs that are supported")
     for v in variables.values():
         unit = v.unit if v.causality == "independent" else None
         if unit and unit.exponents and (unit.exponents, unit.factor, unit.offset) != (SECOND_EXPONENTS, 1, 0):
@@ -362,6 +398,8 @@ def _check_variable(v: FmuVariable) -> None:
         raise Problem(f"{v}: valueReference: expected a whole number below 2^32, got {got!r}")
     if (v.causality, v.variability) not in INITIAL and not v.get("initial"):
         raise Problem(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
+    if v.shape and len(v.starts or ()) not in (0, 1, v.size):
+        raise Problem(f"{v}: expected {v.size} start values, got {len(v.starts or ())}")
     try:
         _ = v.items
         for name in ("nominal", "min", "max"):
@@ -399,8 +437,11 @@ def _indicator_count(description: ModelDescription) -> int:
 def _states(description: ModelDescription, variables: Mapping[str, FmuVariable]) -> dict[str, str]:
     """Continuous states and their time derivatives; empty if one of them is missing or unsupported."""
     pairs = [(description.state_of(v), v) for v in description.derivatives]
-    states = {state.name: v.name for state, v in pairs if state}
-    complete = len(states) == len(pairs)
+    names = [
+        (s, rate) for state, v in pairs if state for s, rate in zip(state.elements, v.elements, strict=False)
+    ]
+    states = dict(names)
+    complete = len(states) == sum(len(v.elements) for v in description.derivatives)
     return states if complete and all(name in variables for pair in states.items() for name in pair) else {}
 
 
@@ -412,7 +453,12 @@ def _rate_inputs(
     They are declared by the attribute `derivative`, or in FMI 2.0 by this project's annotation, because
     OMSimulator treats a variable with that attribute as the derivative of a state.
     """
-    pairs = {state.name: v.name for v in declared if (state := description.state_of(v))}
+    pairs = {
+        of: rate
+        for v in declared
+        if (state := description.state_of(v))
+        for of, rate in zip(state.elements, v.elements, strict=False)
+    }
     pairs.update(description.input_rates)
     inputs = ((variables.get(u), variables.get(rate)) for u, rate in pairs.items())
     return {

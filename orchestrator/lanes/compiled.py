@@ -152,6 +152,8 @@ def compiled_model(component: Component, begin: Callable[[], object] | None = No
     """
     if component.source is None:
         raise NotInLanes(f"{component.name} is not an FMU")
+    if component.interface.declares_events:
+        raise NotInLanes(f"{component.name} ({component.source}): the FMU has events")
     variables = component.interface.variables.values()
     if others := [v.name for v in variables if not v.is_real]:
         raise NotInLanes(f"{component.name}.{others[0]} is not a Real variable")

@@ -175,7 +175,7 @@ class _Recorded(Integration):
         self.scenario, self.times = scenario, times
         ports = plant.system.ports("output")
         variables = {port: plant.system.variable(port) for port in ports}
-        self._discrete = [p for p, v in variables.items() if not v.is_continuous and v.kind != "String"]
+        self._discrete = [p for p, v in variables.items() if not v.is_continuous and v.is_number]
         columns = scenario.columns if scenario else {}
         self.sampled = [p for p in columns if not plant.system.variable(p).is_continuous]
 

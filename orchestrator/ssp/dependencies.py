@@ -123,7 +123,13 @@ def uses_events(system: System, coupling: "Coupling") -> bool:
     A single FMU does. Several need to go back to the beginning of a step, so that it is repeated until it
     ends at its first event. Otherwise events take place inside of the FMUs.
     """
-    return not coupling.method.step and _would_use_events(system) and not _fixed(system)
+    clocks = any(c.interface.has_clocks for c in system.components.values())
+    return clocks or (_would_use_events(system) and (bool(coupling.method.step) or not _fixed(system)))
+
+
+def locates_events(system: System, coupling: "Coupling") -> bool:
+    """Can steps be repeated until they end at an event? Otherwise instants are at the end of steps."""
+    return not coupling.method.step and not _fixed(system)
 
 
 def _would_use_events(system: System) -> bool:
@@ -186,7 +192,7 @@ def late_effects(system: System, coupling: "Coupling") -> str:
     """
     wires = _influential_wires(system)
     having = {name for name, component in system.components.items() if component.interface.has_events}
-    if uses_events(system, coupling):
+    if uses_events(system, coupling) and locates_events(system, coupling):
         declare = _declaring(system)
         wires = [c for c in wires if c.source.component not in declare]
     held = [c for c in wires if not system.is_continuous(c)]
@@ -283,13 +289,20 @@ class Feedthrough:
     def __init__(self, system: System, initially: bool = False) -> None:
         """initially: dependencies in initialisation mode; default: those of the run."""
         self._system, self._initially = system, initially
-        source = {c.target: c.source for c in system.connections}
+        source = {c.target: c.source for c in system.connections if not self._is_sampled(c)}
         self.graph: dict[Port, list[Port]] = {}
         for component in system.components.values():
             for v in component.interface.variables.values():
                 if v.causality in ("output", "calculatedParameter"):
                     output = Port(component.name, v.name)
                     self.graph[output] = [source[u] for u in sorted(self.depends(output)) if u in source]
+
+    def _is_sampled(self, connection: Connection) -> bool:
+        """Does it carry values at the ticks of a clock only? Clocks themselves tick together in a run."""
+        ends = [self._system.variable(port) for port in (connection.source, connection.target)]
+        if ends[0].kind == "Clock":
+            return self._initially
+        return any(v.clocked for v in ends)
 
     def depends(self, output: Port) -> set[Port]:
         """The variables of its component that an output depends on; all if the FMU declares none."""

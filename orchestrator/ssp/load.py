@@ -13,6 +13,7 @@ from pathlib import Path
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, archive_kept_open, require_system
 from orchestrator.base.options import Seconds, seconds
+from orchestrator.base.text import grouped
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.annotations import COMMON, SHARED, ignored_annotations, read_shared, read_suggestion
@@ -37,6 +38,7 @@ from orchestrator.ssp.system_structure import (
     IncomingConnection,
     read_structure,
     signal_paths,
+    whole_of,
 )
 from orchestrator.ssp.terminals import Terminals
 
@@ -77,7 +79,7 @@ def _load(file: Location) -> System:
 def _single_fmu(fmu: Location) -> System:
     """A system of one FMU; the inputs of the FMU are inputs of the system."""
     component = open_component(fmu.path.stem, fmu)
-    inputs = [v for v in component.interface.of("input") if v.kind != "String"]
+    inputs = [v for v in component.interface.of("input") if v.is_number]
     inlets = {v.name: Inlet(v.name, v.unit, ((Port(component.name, v.name), IDENTITY),)) for v in inputs}
     start = component.interface.start
     return System(component.name, {component.name: component}, inputs=inlets, start=start, source=fmu)
@@ -103,13 +105,19 @@ def _load_ssd(ssd: Location) -> System:
 def _connected(flat: FlatStructure, system: System) -> System:
     """The system with its connections, inputs, outputs and start values."""
     notes = list(flat.notes)
+    sizes = bound_values(signal_paths(flat, system, [], sizes=True))
+    system = system.started(sizes, "")
     signals = signal_paths(flat, system, notes)
     maps = [(path, signals.map(path)) for path in signals.paths]
     fed: dict[Port, list[tuple[Port, LinearTransformation]]] = {}
     for path, linear in maps:
         if path.target.component in flat.sources:
             fed.setdefault(path.source, []).append((path.target, linear))
-    inputs = {c.variable: _inlet(flat, system, c, fed.get(c, ()), notes) for c in flat.of_kind("", *SINKS)}
+    elements = grouped(fed, lambda c: c if c in flat.connectors else whole_of(c))
+    inlets = [
+        e for c in flat.of_kind("", *SINKS) for e in elements.get(c, () if flat.declared(c).shape else [c])
+    ]
+    inputs = {c.variable: _inlet(flat, system, c, fed.get(c, ()), notes) for c in inlets}
     system = replace(system, inputs=inputs)
     start = bound_values(replace(signals, system=system))
     connections, outputs = list[Connection](), dict[str, Outlet]()
@@ -196,6 +204,8 @@ def assemble(
     """
     flat = FlatStructure(name, {n: Location(Path(p)) for n, p in fmus.items()})
     system = System(name, {n: open_component(n, file) for n, file in flat.sources.items()})
+    sizes, start = system.sizes(start or {})
+    system = system.with_start(sizes, origin="")
     terminals = Terminals(system)
     for entry in connections:
         parts = [e.strip() for e in entry.split("->")] if isinstance(entry, str) else list(entry)
@@ -219,6 +229,6 @@ def assemble(
         suggestion=Suggestion() if length is None else Suggestion(Coupling("gauss-seidel"), length),
         shared={parameter: tuple(names) for parameter, names in (shared or {}).items()},
         common={parameter: tuple(names) for parameter, names in (common or {}).items()},
-    ).with_start(start or {}, origin="")
+    ).with_start(start, origin="")
     system.check_sharing()
     return system

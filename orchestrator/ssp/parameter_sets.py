@@ -26,15 +26,29 @@ TEXTS = ("String", "Enumeration", "Binary")  # of an array there is a Value each
 class ParameterValue(NamedTuple):
     """A value for a variable; its unit is converted (unless suppressed), then `map` is applied.
 
-    fault   why no variable can have it
+    texts   one, or those of all elements of an array
+    where   begins a message
+    fault   why no scalar variable can have it
     """
 
     name: str
-    text: str
+    texts: tuple[str, ...]
     unit: DeclaredUnit | None
     map: LinearTransformation = IDENTITY
     suppressed: bool = False
+    where: str = ""
     fault: str = ""
+
+    @property
+    def text(self) -> str:
+        return self.texts[0]
+
+    def of_elements(self, array: Sequence[Port]) -> Iterator[tuple[Port, "ParameterValue"]]:
+        """The value of each element of an array."""
+        if len(self.texts) != len(array):
+            raise Problem(f"{self.where}: expected {len(array)} values, got {len(self.texts)}")
+        for port, text in zip(array, self.texts, strict=True):
+            yield port, self._replace(name=str(port), texts=(text,), fault="")
 
     def map_to(self, target: DeclaredUnit | None, context: str, notes: list[str]) -> LinearTransformation:
         """The map to a value in the unit `target`; `notes` get one if a unit is unknown."""
@@ -54,13 +68,14 @@ def read_parameter_set(root: XmlElement, outer_units: Mapping[str, DeclaredUnit]
         texts += [text] if value is not None and (text := value.get("value")) is not None else []
         if value is None or not texts:
             raise Problem(f"{where}: expected a value, got none")
-        count = len(texts) if value.name in TEXTS else len(texts[0].split())
+        texts = texts if value.name in TEXTS else texts[0].split() or texts
+        count = len(texts)
         got = f"{count} values" if count > 1 else "" if value.name in KINDS else f"a {value.name}"
         fault = got and f"{where}: expected a scalar number or text, got {got}, not supported"
         unit = value.get("unit")
         # a unit that no file defines is that of its symbol
         declared = units.get(unit, with_definition(DeclaredUnit(unit))) if unit else None
-        values[name] = ParameterValue(name, texts[0], declared, fault=fault)
+        values[name] = ParameterValue(name, tuple(texts), declared, where=where, fault=fault)
     return [*values.values()]
 
 
@@ -74,11 +89,13 @@ def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
     for binding in flat.bindings:
         file = binding.element.file
         for value in _values(signals, binding):
-            unmatched = True
+            unmatched = not signals.sizes
             for port, linear, text in _targets(signals, binding, value):
                 variable, unmatched = system.variable(port), False
-                if value.fault:
+                if value.fault and variable.array is None:
                     raise Problem(value.fault)
+                if signals.sizes and variable.causality != "structuralParameter":
+                    continue
                 if variable.settable:
                     start[port.component][port.variable] = coerce(str(port), variable, text, linear)
                 else:
@@ -102,6 +119,12 @@ def _targets(
         if owner in flat.sources:
             interface, port = system.components[owner].interface, Port(owner, name)
             interface.check_supported(name, f"parameter {full}")
+            if name in interface.arrays and not signals.sizes:
+                elements = [Port(owner, element) for element in interface.arrays[name].elements]
+                for port, of in value.of_elements(elements):
+                    unit = system.variable(port).unit
+                    yield port, of.map_to(unit, f"parameter {port}", signals.notes), of.text
+                return
             if name in interface.variables:
                 unit = system.variable(port).unit
                 yield port, value.map_to(unit, f"parameter {port}", signals.notes), value.text
@@ -137,10 +160,9 @@ def _values(signals: SignalPaths, binding: ParameterBinding) -> list[ParameterVa
         if source not in values:
             signals.notes.append(f"{e.location}: the parameter set has no {source!r}")
             continue
-        text, used = values[source].text, used | {source}
-        suppressed = e.boolean("suppressUnitConversion")
-        text = names.get(text.strip(), text)
-        mapped[target] = values[source]._replace(name=target, text=text, map=linear, suppressed=suppressed)
+        suppressed, used = e.boolean("suppressUnitConversion"), used | {source}
+        texts = tuple(names.get(text.strip(), text) for text in values[source].texts)
+        mapped[target] = values[source]._replace(name=target, texts=texts, map=linear, suppressed=suppressed)
     if left := values.keys() - used:
         signals.notes.append(f"{content.file}: left out, not in the mapping: {first_names(sorted(left))}")
     return [*mapped.values()]
@@ -181,14 +203,17 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
     for chosen in sets:
         file, notes = _file(system, chosen), list[str]()
         missing = missing_after_swap(system)
-        start: dict[str, dict[str, Value]] = {name: {} for name in ["", *system.components]}
-        for value in read_parameter_set(read_xml(file, "ParameterSet"), {}):
-            if value.name in missing:
-                notes.append(f"{file}: {value.name} is left out: {missing[value.name]}")
-                continue
-            for port, converted in _converted(system, file, value, notes):
-                start[port.component][port.variable] = converted
-        system = replace(system, notes=(*system.notes, *notes)).started(start, str(chosen))
+        values = {value.name: value for value in read_parameter_set(read_xml(file, "ParameterSet"), {})}
+        for part in system.sizes({n: v for n, v in values.items() if n not in missing}):
+            start: dict[str, dict[str, Value]] = {name: {} for name in ["", *system.components]}
+            for value in part.values():
+                array = system.array(value.name)
+                for each in [v for _, v in value.of_elements(array[1])] if array else [value]:
+                    for port, converted in _converted(system, file, each, notes):
+                        start[port.component][port.variable] = converted
+            system = system.started(start, str(chosen))
+        left = [f"{file}: {name} is left out: {missing[name]}" for name in values if name in missing]
+        system = system.noted(*notes, *left)
     return system
 
 

@@ -6,8 +6,11 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import islice
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
@@ -70,6 +73,18 @@ class Component:
 
     __repr__ = brief
 
+    def __post_init__(self) -> None:
+        """Arrays have the sizes that structural parameters give them."""
+        object.__setattr__(self, "interface", self.interface.resized(self.start))
+
+    @cached_property
+    def whole_start(self) -> Mapping[str, Value]:
+        """The start values of the system; of an array with some of them those of the FMU, too."""
+        variables = self.interface.variables
+        arrays = dict.fromkeys(a for name in self.start if (a := variables[name].array))
+        values = {e: self.value(e) for array in arrays for e in array.elements if self.has_start(e)}
+        return {**self.start, **values}
+
     def with_start(self, values: Mapping[str, Value], origin: str) -> Component:
         """The component with other start values; origin: where they come from, if a user chose them."""
         if not origin:
@@ -84,7 +99,7 @@ class Component:
         if variable in self.start:
             return self.start[variable]
         if declared.start is None:
-            return "" if declared.kind == "String" else float("nan")
+            return float("nan") if declared.is_number else ""
         return coerce(f"{self.name}.{variable}", declared, declared.start)
 
     def has_start(self, variable: str) -> bool:
@@ -111,7 +126,7 @@ class Connection:
     def carried(self, value: Value, to: FmuVariable) -> Value:
         """The value of the target if that of the source is `value`."""
         if self.map == IDENTITY:
-            return to.typed(value)
+            return to.typed(value) if to.is_number else value
         if to.is_real:
             return self.map(float(value))
         whole, table = int(value), dict(self.map.table)  # 64 bits, which a float64 does not have
@@ -250,6 +265,87 @@ class System:
         others = dict.fromkeys([*self.inputs, *common, *(p.variable for p in self.ports("input"))])
         return tuple((port, self._conversion(port)) for port in inputs or [self.port(name, others)])
 
+    def array(self, name: str) -> tuple[tuple[int | None, ...], list[Port]] | None:
+        """Shape and elements of the array that a name means, `component.array`; None if it is none."""
+        dots = (i for i, letter in enumerate(name) if letter == ".")
+        for component, variable in ((name[:i], name[i + 1 :]) for i in dots):
+            if component in self.components:
+                found = self.components[component].interface.arrays.get(variable)
+                if found:
+                    return found.shape, [Port(component, element) for element in found.elements]
+        alone = [c for c in self.components if len(self.components) == 1 and "." not in name]
+        return self.array(f"{alone[0]}.{name}") if alone and "." not in name else None
+
+    def pairs(self, source: str, target: str) -> list[tuple[Port, Port]] | None:
+        """The elements that a connection of two arrays connects; None if neither end is one."""
+        ends = self.array(source), self.array(target)
+        if ends == (None, None):
+            return None
+        (one, sources), (other, targets) = (end or ((), []) for end in ends)
+        if one != other:
+            got = " and ".join(
+                f"({', '.join(map(str, shape))})" if shape else "a scalar" for shape in (one, other)
+            )
+            raise Problem(f"{source} -> {target}: expected equal shapes, got {got}")
+        return [*zip(sources, targets, strict=True)]
+
+    def by_element(self, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        """Values by name, those of arrays by element; an array has a list, or a text of one."""
+        for name, given in values.items():
+            if not (array := self.array(name)):
+                yield name, given
+                continue
+            each = given.split() if isinstance(given, str) else [*np.ravel(given).tolist()]
+            if len(each) != len(array[1]):
+                raise Problem(f"{name}: expected {len(array[1])} values, got {len(each)}")
+            yield from zip(map(str, array[1]), each, strict=True)
+
+    def _rewired(self, before: System) -> System:
+        """The system with connections of arrays whose sizes have changed."""
+        arrays = {(n, a) for n, c in before.components.items() for a in c.interface.arrays}
+        was, now = ({n: c.interface.arrays for n, c in s.components.items()} for s in (before, self))
+        changed = {(n, a) for n, a in arrays if a not in now[n] or was[n][a].shape != now[n][a].shape}
+        if not changed:
+            return self
+
+        def end(port: Port) -> tuple[str, str]:
+            array = before.variable(port).array
+            return port.component, array.name if array else port.variable
+
+        kept = list[Connection]()
+        for (source, target), wires in grouped(
+            self.connections, lambda c: (end(c.source), end(c.target))
+        ).items():
+            if source not in changed and target not in changed:
+                kept += wires
+                continue
+            names = Port(*source), Port(*target)
+            whole = before.pairs(*map(str, names)) if source in arrays and target in arrays else None
+            if whole != [(c.source, c.target) for c in wires]:
+                gone = [p for c in wires for p in (c.source, c.target) if not self.find(str(p))]
+                if gone:
+                    raise Problem(f"{wires[0]}: {gone[0]} is not an element since the size has changed")
+                kept += wires
+                continue
+            kept += [Connection(*pair, wires[0].map) for pair in self.pairs(*map(str, names)) or ()]
+        inlets = {n: i for n, i in self.inputs.items() if all(self.find(str(p)) for p, _ in i.targets)}
+        outlets = {
+            n: o for n, o in self.outputs.items() if not o.source.component or self.find(str(o.source))
+        }
+        return replace(self, connections=tuple(kept), inputs=inlets, outputs=outlets)
+
+    def check_sizes(self, driven: Iterable[Port]) -> None:
+        """Raise Problem if an array of another size than that of the FMU lacks start values."""
+        fed = {c.target for c in self.connections} | {*driven}
+        for c in self.components.values():
+            for array in c.interface.arrays.values():
+                if array.starts is None and any(array.sizes) and array.settable and array.initial != "approx":
+                    lacking = [e for e in array.elements if e not in c.start and Port(c.name, e) not in fed]
+                    if lacking:
+                        shape = f"({', '.join(map(str, array.shape))})"
+                        expected = f"expected start values of all its elements, got none of {lacking[0]}"
+                        raise Problem(f"{c.name}.{array.name} has the shape {shape} now: {expected}")
+
     def _inputs(self, name: str) -> list[Port]:
         """The component inputs of one name."""
         return [port for port in self.ports("input") if port.variable == name]
@@ -359,7 +455,7 @@ class System:
     def open(self) -> Mapping[str, Inlet]:
         """Component inputs that have no source, by variable name."""
         fed = {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
-        unfed = [p for p in self.ports("input") if p not in fed and self.variable(p).kind != "String"]
+        unfed = [p for p in self.ports("input") if p not in fed and self.variable(p).is_number]
         return {
             name: Inlet(name, self.unit(ports[0]), tuple((p, self._conversion(p)) for p in ports))
             for name, ports in grouped(unfed, lambda port: port.variable).items()
@@ -370,7 +466,7 @@ class System:
         """Component inputs that are fed by an input of the system, or have no source."""
         inlets = [*self.inputs.values(), *self.open.values()]
         ports = [port for inlet in inlets for port, _ in inlet.targets]
-        return [p for p in ports if (v := self.variable(p)).causality == "input" and v.kind != "String"]
+        return [p for p in ports if (v := self.variable(p)).causality == "input" and v.is_number]
 
     def variable(self, port: Port) -> FmuVariable:
         """The declaration of a port, or of an input of the system."""
@@ -403,10 +499,13 @@ class System:
 
         origin   where the values come from, for `Component.origins`
         """
+        sizes, others = self.sizes(values)
+        if sizes and others:  # first, as they change the names of elements
+            return self.with_start(sizes, origin).with_start(others, origin)
         connected = {c.target: c for c in self.connections}
         start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
         replaced: list[Connection] = []
-        for name, given in values.items():
+        for name, given in self.by_element(values):
             given = self.inputs[name].number(given) if name in self.inputs else given
             if self.passed(name):
                 value, to_unit = self._without_unit(name, port := Port("", name), given)
@@ -437,7 +536,13 @@ class System:
         """The system with start values by component; the component "" has inputs that are passed on."""
         components = {n: c.with_start(start[n], origin) for n, c in self.components.items()}
         inputs = {n: replace(i, start=start[""].get(n, i.start)) for n, i in self.inputs.items()}
-        return replace(self, components=components, inputs=inputs)
+        return replace(self, components=components, inputs=inputs)._rewired(self)
+
+    def sizes(self, values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Those of some values that set structural parameters, and the others."""
+        ports = {name: self.find(name) for name in values}
+        sizes = {n for n, p in ports.items() if p and self.variable(p).causality == "structuralParameter"}
+        return {n: values[n] for n in values if n in sizes}, {n: values[n] for n in values if n not in sizes}
 
     def _without_unit(
         self, name: str, port: Port, given: Value | str
@@ -517,7 +622,7 @@ def _is_number_to_set(variable: FmuVariable, dimension: object) -> bool:
     """Is this a parameter that is a number of this dimension? Without a defined unit it is of any."""
     same = dimension is None or variable.unit is None or variable.unit.dimension in (None, dimension)
     is_parameter = variable.causality == "parameter" and variable.settable
-    return is_parameter and same and variable.kind not in ("String", "Boolean")
+    return is_parameter and same and variable.kind != "Boolean" and variable.is_number
 
 
 def check_settable(port: Port, interface: FmuInterface) -> None:
@@ -553,6 +658,8 @@ def coerce(
             return float(f"{value:.15g}") if linear.offset and typed else value
         if variable.kind == "String":
             return str(value)
+        if variable.kind == "Binary":
+            return bytes.fromhex(text).hex()
         if variable.kind == "Boolean":
             return bool(linear({"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}[text.lower()]))
         number = variable.items[text] if text in variable.items else integer(text)
@@ -570,7 +677,10 @@ def open_component(name: str, fmu: Location, kind: str = "") -> Component:
 
 
 # type of an output -> types of the inputs that take it
-WIDER = {"Real": ("Real",), "Integer": ("Integer", "Real"), "Boolean": ("Boolean", "Integer", "Real")}
+WIDER = {
+    **{kind: (kind,) for kind in ("Real", "String", "Binary", "Clock")},
+    **{"Integer": ("Integer", "Real"), "Boolean": ("Boolean", "Integer", "Real")},
+}
 
 
 def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
@@ -581,13 +691,18 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
     items = u.kind == "Enumeration" and y.value_type == "Boolean"
     if items or u.value_type not in WIDER.get(y.value_type, ()):
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
+    if u.kind == "Clock" and u.get("intervalVariability") != "triggered":
+        got = f"{u.get('intervalVariability')} {target}, which ticks by time"
+        raise Problem(f"{connection}: expected a triggered clock at the end, got the {got}")
     check_map(str(connection), u, linear)
     return connection
 
 
 def check_map(where: str, variable: FmuVariable, linear: LinearTransformation) -> None:
     """Raise Problem if values of a variable cannot be transformed so."""
-    if linear != IDENTITY and (variable.kind == "String" or (variable.is_real and linear.table)):
+    if linear != IDENTITY and (
+        variable.kind in ("String", "Binary", "Clock") or (variable.is_real and linear.table)
+    ):
         expected = "a LinearTransformation" if variable.is_real else "no transformation"
         got = "a mapping of values" if linear.table else f"{linear.factor:g} x + {linear.offset:g}"
         raise Problem(f"{where}: expected {expected} of a {variable.kind}, got {got}")

@@ -5,6 +5,7 @@ outermost system is empty. `SignalPaths` are the chains of connections through n
 map over each of them.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -51,18 +52,18 @@ MAX_PARTS, MAX_DEPTH = 10_000, 50
 
 
 class ConnectorType(NamedTuple):
-    """The declaration of a connector in a file; items: of its enumeration."""
+    """The declaration of a connector in a file; shape: sizes of an array; items: of an enumeration."""
 
     kind: str | None = None
     unit: DeclaredUnit | None = None
-    array: bool = False
+    shape: tuple[str | None, ...] = ()
     type: str = ""
     items: Items = MappingProxyType({})
 
     @property
     def unsupported(self) -> str:
         """What it is, if it cannot be connected; else empty."""
-        return "an array" if self.array else f"a {self.type}" if self.type in ("Binary", "Clock") else ""
+        return f"a {self.type}" if self.type in ("Binary", "Clock") else ""
 
 
 class IncomingConnection(NamedTuple):
@@ -105,8 +106,16 @@ class FlatStructure:
     notes: list[str] = field(default_factory=list)
 
     def declared(self, connector: Port) -> ConnectorType:
-        """What a file declares of a connector."""
-        return self.connectors.get(connector, ConnectorType())
+        """What a file declares of a connector, or of the array that an element belongs to."""
+        return self.connectors.get(connector) or self.connectors.get(whole_of(connector), ConnectorType())
+
+    def feeding(self, connector: Port) -> IncomingConnection | None:
+        """The connection that feeds a connector, or an element by a connection of its whole array."""
+        if (found := self.incoming.get(connector)) or not connector.variable.endswith("]"):
+            return found
+        whole, indices = whole_of(connector), connector.variable.rpartition("[")[2]
+        found = self.incoming.get(whole)
+        return found and found._replace(source=_element(found.source, indices))
 
     def connect(self, target: Port, incoming: IncomingConnection, where: str = "") -> None:
         """Feed a connector, which must have no other source."""
@@ -258,11 +267,11 @@ class _SsdReader:
             kind, name = (typed.name, typed.get("unit")) if typed else ("", None)
             unit = self._units.get(name, DeclaredUnit(name)) if name and kind in FLOATS else None
             items = self._enumerations.get(typed.get("name") or "", {}) if typed else {}
-            array = e.child("Dimension") is not None
+            shape = tuple(d.get("size") for d in e.children("Dimension"))
             if inner := self._flat.connectors.get(connector):  # the file of the component declares it too
-                unit, array, items = unit or inner.unit, array or inner.array, items or inner.items
+                unit, shape, items = unit or inner.unit, shape or inner.shape, items or inner.items
                 kind = kind or inner.type
-            self._flat.connectors[connector] = ConnectorType(e.get("kind"), unit, array, kind, items)
+            self._flat.connectors[connector] = ConnectorType(e.get("kind"), unit, shape, kind, items)
 
     def _bindings(self, element: XmlElement, owner: str) -> None:
         for e in element.children("ParameterBindings", "ParameterBinding"):
@@ -291,9 +300,11 @@ class _SsdReader:
         if name is not None and name not in owners:
             raise Problem(f"{context} {name}.{connector}: no element {name!r}{suggest(name, owners)}")
         end = Port(path if name is None else owners[name], connector)
+        if indices := element.get(f"{side}Indices"):
+            end = _element(end, f"{','.join(indices.replace(',', ' ').split())}]")
         declared = self._flat.declared(end)
-        if unsupported := declared.unsupported or ("an array" if element.get(f"{side}Indices") else ""):
-            raise Problem(f"{context} {end}: expected a scalar number, got {unsupported}")
+        if unsupported := declared.unsupported:
+            raise Problem(f"{context} {end}: expected a number or text, got {unsupported}")
         if declared.kind is None and end.component in self._flat.systems:
             names = [c.variable for c in self._flat.connectors if c.component == end.component]
             label = end.component or self._flat.name
@@ -303,6 +314,16 @@ class _SsdReader:
         if declared.kind not in (*SOURCES, *SINKS):
             return end, None
         return end, SOURCE if (declared.kind in SOURCES) != (name is None) else SINK
+
+
+def _element(array: Port, indices: str) -> Port:
+    """An element of an array; indices: with the closing bracket."""
+    return Port(array.component, f"{array.variable}[{indices}")
+
+
+def whole_of(element: Port) -> Port:
+    """The array of an element."""
+    return Port(element.component, element.variable.rpartition("[")[0])
 
 
 def _resolved(file: Location) -> Location:
@@ -334,12 +355,14 @@ class SignalPaths:
     """All paths to connectors of components and to outputs of the outermost system.
 
     notes   remarks on unit conversions, which are appended here
+    sizes   only paths to structural parameters: the sizes of arrays are not known yet
     """
 
     flat: FlatStructure
     system: System
     notes: list[str]
     paths: tuple[SignalPath, ...]
+    sizes: bool = False
 
     def map(self, path: SignalPath) -> LinearTransformation:
         """The map over the whole path, with unit conversions; raises Problem if its end cannot take it."""
@@ -394,20 +417,52 @@ class SignalPaths:
         return f"{connector} {unit}" if unit else str(connector)
 
 
-def signal_paths(flat: FlatStructure, system: System, notes: list[str]) -> SignalPaths:
-    """The paths of a flat structure; connectors of components must be variables of their FMUs."""
+def signal_paths(flat: FlatStructure, system: System, notes: list[str], sizes: bool = False) -> SignalPaths:
+    """The paths of a flat structure; connectors of components must be variables of their FMUs.
+
+    There is a path to each element of an array. sizes: see `SignalPaths`
+    """
     ends = [c for c in flat.incoming if c.component in flat.sources]
-    ends += [c for c in flat.of_kind("", *SOURCES) if c in flat.incoming]
+    if sizes:
+        ends = [*system.sizes({str(c): c for c in ends})[0].values()]
+    else:
+        fed = grouped(flat.incoming, lambda c: c if c in flat.connectors else whole_of(c))
+        ends += [e for c in flat.of_kind("", *SOURCES) for e in fed.get(c, ())]
+        ends = [e for end in ends for e in _elements(flat, system, end)]
+    for end, count in Counter(ends).most_common(1):
+        if count > 1:
+            raise Problem(f"connection to {end}: expected one source, got {count}")
     paths = tuple(_path_to(flat, end) for end in ends)
     for connector in dict.fromkeys(c for path in paths for c in path.connectors):
         if connector.component in flat.sources:
             _check_variable(flat, system, connector)
-    return SignalPaths(flat, system, notes, paths)
+    return SignalPaths(flat, system, notes, paths, sizes)
+
+
+def _elements(flat: FlatStructure, system: System, end: Port) -> list[Port]:
+    """The elements of an array at the end of connections, whose other end and connectors have its shape."""
+    path = _path_to(flat, end).connectors
+    shapes = {str(c): found[0] for c in (path[0], end) if (found := system.array(str(c)))}
+    declared = {str(c): flat.declared(c).shape for c in path if not c.variable.endswith("]")}
+    if not shapes:
+        return [end]
+    shape = next(iter(shapes.values()))
+    if end.component in flat.sources and path[0].component in flat.sources:
+        system.pairs(str(path[0]), str(end))  # raises if they differ
+    for connector, sizes in declared.items():
+        if sizes and (
+            len(sizes) != len(shape)
+            or any(a not in (None, str(b)) for a, b in zip(sizes, shape, strict=False))
+        ):
+            got = f"({', '.join(a or '?' for a in sizes)}) and ({', '.join(map(str, shape))})"
+            raise Problem(f"{connector}: expected a Dimension for each size of the array, got {got}")
+    shape, elements = system.array(next(iter(shapes))) or ((), [])
+    return [_element(end, e.variable.rpartition("[")[2]) for e in elements]
 
 
 def _path_to(flat: FlatStructure, end: Port) -> SignalPath:
     connectors, connections = [end], list[IncomingConnection]()
-    while incoming := flat.incoming.get(connectors[0]):
+    while incoming := flat.feeding(connectors[0]):
         if incoming.source in connectors:
             raise Problem(f"connection to {end}: the connectors form a cycle at {incoming.source}")
         connections.insert(0, incoming)

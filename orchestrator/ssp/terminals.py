@@ -37,6 +37,9 @@ class Terminals:
 
     def pairs(self, source: str, target: str) -> Iterator[tuple[Port, Port]]:
         """Output and input of each member of two terminals, or the ports that the names are."""
+        if arrays := self.system.pairs(source, target):
+            yield from arrays
+            return
         ends = self.system.find(source), self.system.find(target)
         if all(ends) or not (named := {source, target} & self._known.keys()):
             yield self.system.port(source), self.system.port(target)

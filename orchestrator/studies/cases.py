@@ -117,7 +117,7 @@ def signal(system: System, name: str) -> Port:
     """The variable of a signal name: an output of the system, or component.variable."""
     port = system.outputs[name].source if name in system.outputs else system.port(name)
     variable = system.variable(port)
-    if variable.kind == "String" or variable.causality not in ("output", "input", "local"):
+    if not variable.is_number or variable.causality not in ("output", "input", "local"):
         raise Problem(f"{name}: expected a signal, got a {variable.kind} {variable.causality}")
     return port
 

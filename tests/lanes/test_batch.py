@@ -23,7 +23,7 @@ from orchestrator.base.compiler import CompilerError, host
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, write_zip
 from orchestrator.lanes import compiled, group
-from orchestrator.lanes.compiled import NotInLanes, sources_of
+from orchestrator.lanes.compiled import NotInLanes, compiled_model, sources_of
 from orchestrator.worker.process import CLOSED
 
 # full strokes: cylinders hit their stops, chambers cavitate, and valves close fast
@@ -217,6 +217,9 @@ def test_only_code_that_this_installation_has_generated_runs_in_lanes(system, tm
     assert sources_of(same) == sources_of(component)
     with pytest.raises(NotInLanes, match=r"swing \(.*\): expected an FMU that this installation"):
         sources_of(other)
+    stops = replace(component, interface=replace(component.interface, event_mode=True))
+    with pytest.raises(NotInLanes, match=r"swing \(.*\): the FMU has events"):
+        compiled_model(stops)
 
 
 def test_a_changed_fmu_runs_one_by_one(system, tmp_path):

@@ -246,16 +246,35 @@ def test_without_rollback_events_act_at_the_end_of_the_step(stopping):
     assert any(note.endswith("because room has a fixed step") for note in notes)
 
 
-def test_a_master_of_ones_own_uses_no_event_mode(stopping):
-    """It steps FMUs itself."""
+def in_turn(components, time, length):
+    """A master of one's own."""
+    for name in components:
+        components[name].step(time, length)
 
-    def in_turn(components, time, length):
-        for name in components:
-            components[name].step(time, length)
 
+def test_a_master_of_ones_own_has_events_at_the_end_of_its_steps(stopping):
+    """Announced ones are ends of steps, those inside of a step wait; all FMUs are in one instant."""
+    own = Master("own", step=in_turn)
     system = assemble({"relay": stopping("relay"), "room": stopping("room")}, HEATED)
-    result = run(system, stop=STOP, step=STEP, master=Master("own", step=in_turn))
+    result = run(system, stop=STOP, step=STEP, master=own)
     assert np.abs(result["room.T"] - temperature(result.time)).max() < 6 * 2 * STEP
+    found = held(result.events, "relay.on")
+    np.testing.assert_allclose(found, switches(STOP)[: len(found)], atol=6 * 2 * STEP)
+    assert len(found) >= 5  # the sixth may be late
+    ticking = assemble(
+        {"a": stopping("ticker"), "s": stopping("sum")}, ["a.level -> s.u"], {"a.period": 0.25}
+    )
+    exact = run(ticking, stop=1.0, step=0.1, master=own)
+    np.testing.assert_allclose([e.time for e in exact.events], [0.25, 0.5, 0.75, 1.0], atol=1e-9)
+    assert exact["s.s"][-1] == pytest.approx(0.25 + 0.5 + 0.75, abs=1e-9)
+
+
+def test_a_signal_that_is_nan_is_no_event(stopping):
+    """NaN differs from itself, but has not changed."""
+    fmus = {"a": stopping("ticker"), "s": stopping("sum")}
+    system = assemble(fmus, [("a.level", "s.u", float("nan"))], {"a.period": 0.5})
+    events = run(system, stop=1.1, step=0.1, record=["a.count"]).events
+    np.testing.assert_allclose([event.time for event in events], [0.5, 1.0], atol=1e-9)
 
 
 # ---- what is claimed

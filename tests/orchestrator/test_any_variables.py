@@ -30,8 +30,8 @@ def test_all_kinds_pass_on_wires_and_from_scenarios(each, both, master):
     np.testing.assert_array_equal(trace["q.enum_out"], np.where(late, 2, 1))
 
 
-def test_a_text_as_input_is_left_alone(each, both):
-    """It is neither recorded nor connected nor driven, but can have a start value."""
+def test_a_text_as_input_is_no_number(each, both):
+    """It is neither recorded nor driven, but can have a start value, and the text of another FMU."""
     common = 'name="ear" causality="input" variability="discrete" valueReference='
     string = {
         2: f'<ScalarVariable {common}"3"><String start="hush"/></ScalarVariable>',
@@ -40,8 +40,10 @@ def test_a_text_as_input_is_left_alone(each, both):
     fmu = each.make("types", "eared", more=string[each.fmi])
     result = both(assemble({"p": fmu}), set={"p.ear": "listen"}).result
     assert "p.ear" not in result.trace.signals
-    message = problem(lambda: assemble({"p": each["types"], "q": fmu}, ["p.echo -> q.ear"]))
-    assert "variables of type String and String cannot be connected" in message
+    wired = run(assemble({"p": each["types"], "q": fmu}, ["p.echo -> q.ear"]), step=0.1, stop=0.2)
+    assert ("p.echo", "hello") in [(name, text[:5]) for _, name, text in wired.texts]
+    message = problem(lambda: assemble({"p": each["types"], "q": fmu}, ["p.int_out -> q.ear"]))
+    assert "variables of type Integer and String cannot be connected" in message
     column = Trace(np.array([0.0, 1.0]), {"p.ear": np.zeros(2)})
     message = problem(lambda: run(assemble({"p": fmu}), column, step=0.1))
     assert "column 'p.ear': expected an input or a tunable parameter, got a String input" in message

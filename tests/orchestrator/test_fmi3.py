@@ -1,7 +1,6 @@
 """What is particular to FMI 3.0: types, names, steps, and what is refused; and systems of both versions."""
 
 import os
-import zipfile
 from pathlib import Path
 
 import fmpy
@@ -12,14 +11,11 @@ from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, assemble, load, run
 from orchestrator.base.files import Location
-from orchestrator.cli.lists import lines
 from orchestrator.fmi import library
 from orchestrator.fmi.interface import read_interface
 from orchestrator.fmi.messages import with_variable_names
 
-ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
-<Dimension start="3"/></Float64>
-<Binary name="blob" valueReference="401" causality="output"/>"""
+BLOB = '<Binary name="blob" valueReference="401" causality="output"/>'
 
 
 def refusal(file, set=None, scenario=None, **more):
@@ -137,34 +133,18 @@ def test_other_fmus_are_refused_by_name(fmus3, changes, message):
     assert read_interface(Location(fmus3.make("gain", "patched", version="3.0.2"))).model.major == 3
 
 
-def test_arrays_and_binary_values_are_left_out_with_a_note(fmus3):
-    """In the card and in the list of signals; the rest runs."""
-    fmu = fmus3.make("gain", "mixed", more=ARRAY)
-    note = "mixed: left out: table, an array of shape (3); blob, a variable of type Binary"
+def test_a_binary_is_no_number(fmus3):
+    """One that nothing needs, and no function gives, is left alone; test_clocks.py has others."""
+    fmu, port = fmus3.make("gain", "mixed", more=BLOB), "mixed.blob"
     result = run(str(fmu), step=0.1, stop=0.2, set={"u": 2.0})
-    assert result.card.notes == (note,)
     assert list(result.trace.signals) == ["mixed.y", "mixed.u"]
-    assert note in lines(load(fmu))
-
-
-@pytest.mark.parametrize("name", ["table", "blob"])
-def test_whoever_names_an_array_is_told(fmus3, name):
-    """In a start value, a recorded signal, a column of a scenario or a connection."""
-    fmu, port = fmus3.make("gain", "mixed", more=ARRAY), f"mixed.{name}"
+    assert result.texts == ()
     column = Trace(np.array([0.0, 1.0]), {port: np.zeros(2)})
     wired = problem(lambda: assemble({"s": fmus3["source"], "mixed": fmu}, [f"s.y -> {port}"]))
-    runs = refusal(fmu, {port: 1.0}), refusal(fmu, record=[port]), refusal(fmu, scenario=column)
-    for message in (*runs, wired):
-        assert f"{port}: expected a scalar number or text, got a" in message
-        assert message.endswith("not supported")
-
-
-def test_an_fmu_of_arrays_only_is_told(tmp_path):
-    """It has nothing that could be exchanged."""
-    with zipfile.ZipFile(tmp_path / "arrays.fmu", "w") as archive:
-        archive.write(Path(__file__).with_suffix(".xml"), "modelDescription.xml")
-    told = r"arrays.fmu: input is an array of shape \(2\): .*, arrays are not supported$"
-    problem(lambda: load(tmp_path / "arrays.fmu"), told)
+    assert "expected an output and an input, got output and output" in wired
+    assert "cannot be set" in refusal(fmu, {port: "00"})
+    assert "expected an input or a tunable parameter, got a Binary output" in refusal(fmu, scenario=column)
+    assert f"{port}" in refusal(fmu, record=[port])
 
 
 def test_the_experiment_of_a_single_fmu_is_run(each):

@@ -10,7 +10,7 @@ from pathlib import Path
 sys.path[:0] = [str(Path(__file__).parents[1])]  # as a script
 
 from kit.any_fmu.description import packed  # noqa: E402  # after the path of a script
-from kit.any_fmu.models import Workshop  # noqa: E402  # after the path of a script
+from kit.any_fmu.models import Workshop, bank_fmu, ticking_fmu  # noqa: E402  # after the path of a script
 from kit.ssp import bound, connector, inline, real, second, ssd, system, wire  # noqa: E402  # as above
 
 from orchestrator import Problem, load, run  # noqa: E402  # as above
@@ -30,10 +30,11 @@ FMI = [
     ("String", f'<String name="s" {AT} causality="parameter"><Start value="a"/></String>'),
     ("structural parameter", f'<UInt64 name="n" {AT} causality="structuralParameter" start="2"/>'),
     ("Binary", f'<Binary name="b" {ONE}/>'),
-    ("array", f'<Float64 name="a" {ONE}><Dimension start="3"/></Float64>'),
-    ("array of a size that may be 0", f'<Float64 name="a" {ONE}><Dimension start="0"/></Float64>'),
-    ("Clock", CLOCK.format(400)),
-    ("variable with clocks", f'<Float64 name="x" {ONE} clocks="401"/>{CLOCK.format(401)}'),
+    ("Clock without event mode", CLOCK.format(400)),
+    (
+        "variable with clocks, without event mode",
+        f'<Float64 name="x" {ONE} clocks="401"/>{CLOCK.format(401)}',
+    ),
 ]
 
 
@@ -49,7 +50,15 @@ def typed(kind, dimension="", name="t", way="input"):
 
 
 SIZED = '<ssc:Dimension size="3"/>'
-INLET = connector("command", "input")
+INLET = connector("command", "input", "m")
+
+
+def bank(*wires, more=""):
+    """A file with an FMU of arrays, see bank.c."""
+    ends = typed("Float64", SIZED, "u") + typed("Float64", "<ssc:Dimension/>", "y", "output")
+    component = f'<ssd:Component name="a" source="bank.fmu"><ssd:Connectors>{ends}</ssd:Connectors>{more}'
+    inlets = INLET + typed("Float64", SIZED, "w")
+    return ssd(system([f"{component}</ssd:Component>"], wires, inlets))
 
 
 def one(*wires, **more):
@@ -59,7 +68,13 @@ def one(*wires, **more):
 
 EXCEL = 'source="p.xlsx" type="application/vnd.ms-excel"'
 TIMES_TWO = '<ssc:LinearTransformation factor="2"/>'
-ARRAY, BINARY = typed("Float64", SIZED), typed("Binary")
+BINARY = typed("Binary")
+LISTS = inline(
+    ("m", '<ssv:Float64 value="1 0 0 1"/>'),
+    ("k", '<ssv:Float64 value="1 2"/>'),
+    ("n", '<ssv:UInt64 value="2"/>'),
+    ("u", '<ssv:Float64 value="1 2"/>'),
+)
 VALUES = ('<ssv:Float64 value="1 2"/>', '<ssv:Binary value="ff"/>')
 # (element, text of the .ssd)
 SSP = [
@@ -71,12 +86,13 @@ SSP = [
     ("Annotation of an unknown tool", ssd(system([part()], []), ANNOTATED)),
     ("MetaData, Signature", one(more=DATA)),
     ("connector of kind `inout`", one(connectors=typed("Float64", way="inout"))),
-    ("connector with Dimension, not connected", one(connectors=ARRAY)),
-    ("the same, connected", one(wire("command", "a.t"), connectors=ARRAY)),
-    ("`startIndices`, `endIndices`", one(wire("command", "a.u", extra='endIndices="2"'))),
+    ("connector with Dimension, connected whole", bank(wire("w", "a.u"))),
+    ("of another size than that of the FMU", bank(wire("a.y", "a.u"))),
+    ("`startIndices`, `endIndices`", bank(wire("command", "a.u", extra='endIndices="2"'))),
     ("connector of type Binary or Clock, not connected", one(connectors=BINARY)),
     ("the same, connected", one(wire("command", "a.t"), connectors=BINARY)),
-    ("array as a parameter's value", one(more=inline(("offset", VALUES[0])))),
+    ("list of values for an array, with its size", bank(more=LISTS)),
+    ("list of values for a scalar", one(more=inline(("offset", VALUES[0])))),
     ("Binary as a parameter's value", one(more=inline(("offset", VALUES[1])))),
     ("parameters in another format", one(more=bound(EXCEL))),
     ("component of another type", one(attributes='source="g.jar" type="application/java"')),
@@ -108,6 +124,14 @@ def table(folder):
     """The rows of the table, from a run of every probe."""
     workshop = Workshop(folder).other(3)
     rows = ["|standard|element|what happens|", "|---|---|---|"]
+    arrays = bank_fmu(folder / "bank.fmu")
+    rows.append(f"|FMI 3.0|array, also as state, event indicator or matrix|{outcome(arrays)}|")
+    for interval in ("constant", "fixed", "tunable", "changing", "countdown"):
+        attributes = f'intervalVariability="{interval}"' + ' intervalDecimal="0.1"' * (
+            interval != "countdown"
+        )
+        clocks = outcome(ticking_fmu(folder / "unit.fmu", attributes))
+        rows.append(f"|FMI 3.0|{interval} and triggered Clock, with event mode|{clocks}|")
     for n, (element, more) in enumerate(FMI):
         rows.append(f"|FMI 3.0|{element}|{outcome(workshop.make('types', f'p{n}', more=more))}|")
     for n, (element, text) in enumerate(SSP):
@@ -115,6 +139,7 @@ def table(folder):
         version = 3 if "version 3" in element else 2
         edition = second(text).replace('version="2.0" name', f'version="{version}.0" name', 1)
         parts = {"SystemStructure.ssd": edition, "g.fmu": workshop["gain"].read_bytes()}
+        parts["bank.fmu"] = arrays.read_bytes()
         rows.append(f"|SSP 2.0|{element}|{outcome(packed(folder / f'{n}' / 'system.ssp', parts))}|")
     return "\n".join(rows)
 

@@ -93,12 +93,12 @@ static int convert(const Access *a) {
 }
 
 static int call_fmi(const Access *a) {
-    const size_t n = (size_t)a->count;
+    const size_t n = (size_t)a->reference_count, values = (size_t)a->count;
     if (a->orders && a->fmi == 2)
         return ((Derivatives2 *)a->function)(a->instance, a->references, n, a->orders, a->fmu_values);
-    if (a->orders) return ((Derivatives3 *)a->function)(a->instance, a->references, n, a->orders, a->fmu_values, n);
+    if (a->orders) return ((Derivatives3 *)a->function)(a->instance, a->references, n, a->orders, a->fmu_values, values);
     if (a->fmi == 2) return ((Values2 *)a->function)(a->instance, a->references, n, a->fmu_values);
-    return ((Values3 *)a->function)(a->instance, a->references, n, a->fmu_values, n);
+    return ((Values3 *)a->function)(a->instance, a->references, n, a->fmu_values, values);
 }
 
 static int access_values(Simulation *sim, const Access *a) {
@@ -181,13 +181,14 @@ int execute(Simulation *sim, const Program *program) {
 }
 
 int directional_derivative(Simulation *sim, const Derivative *d) {
-    const size_t m = (size_t)d->unknown_count, n = (size_t)d->known_count;
+    const size_t m = (size_t)d->unknown_references, n = (size_t)d->known_references;
     int status;
     if (!d->function) return python_call(sim, CALL, d->index, 0.0, 0.0);
     *d->call = d->function_number;
     if (d->fmi == 2)
         status = ((Derivative2 *)d->function)(d->instance, d->unknowns, m, d->knowns, n, d->seed, d->result);
-    else status = ((Derivative3 *)d->function)(d->instance, d->unknowns, m, d->knowns, n, d->seed, n, d->result, m);
+    else status = ((Derivative3 *)d->function)(d->instance, d->unknowns, m, d->knowns, n, d->seed,
+                                               (size_t)d->known_count, d->result, (size_t)d->unknown_count);
     *d->call = 0;
     if (sim->careful) environment_restore(sim, d, ANY_COMPONENT);
     return status ? sim->check_status(d, 0, status) : CONTINUE;

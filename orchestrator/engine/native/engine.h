@@ -80,7 +80,7 @@ typedef struct Access { /* one FMI call that gets or sets several variables */
     const int32_t *orders;      /* orders of derivatives; NULL for values */
     void *fmu_values, *values;  /* in the type of the FMU, and in the array of the run; the same if the types agree */
     int32_t *call; /* the call of this instance that is in progress, readable after a crash; 0: none */
-    int32_t count, fmi, type, array, sets, function_number;
+    int32_t count, reference_count, fmi, type, array, sets, function_number; /* of values, and of variables */
 } Access;
 
 typedef struct ExchangeCall { /* one FMI call in Model Exchange */
@@ -119,6 +119,7 @@ typedef struct Derivative { /* directional derivative of the unknowns when the k
     double *seed, *result;
     int32_t *call;
     int32_t fmi, unknown_count, known_count, index, function_number;
+    int32_t unknown_references, known_references; /* variables, of which each has one value or several */
 } Derivative;
 
 typedef struct LoopMember { /* a component in an algebraic loop; first_...: its first index in the loop's u and y */
@@ -406,6 +407,7 @@ typedef struct Simulation {
     const double *divided; /* communication points between those of equal steps */
     int64_t divided_count, next_divided[WIDTH];
     double start, step, shorter, patience;
+    double pause; /* simulation_advance returns there, or where it is beyond it [s] */
     double spent, counted; /* time in all calls of simulation_advance, in [s] and in ticks */
     double tick;           /* their ratio; 0 before the first call */
     int64_t total, done, steps, all_passes, repeated;

@@ -74,7 +74,10 @@ int event_missed(Simulation *sim, double h) {
 int event_due(Simulation *sim) {
     Events *e = &sim->events;
     int due = e->due || (e->used && sim->t >= e->next - e->tolerance);
-    for (int32_t i = 0; i < e->real_count; i++) due |= sim->reals[e->real_targets[i]] != e->reals[i];
+    for (int32_t i = 0; i < e->real_count; i++) {
+        const double now = sim->reals[e->real_targets[i]], before = e->reals[i];
+        due |= now != before && (now == now || before == before); /* NaN stays NaN */
+    }
     for (int32_t i = 0; i < e->integer_count; i++) due |= sim->integers[e->integer_targets[i]] != e->integers[i];
     return due;
 }

@@ -239,7 +239,8 @@ static Real next_length(Simulation *sim, Real *target, Real *rest) {
         while (*next < sim->divided_count && sim->divided[*next] <= t) ++*next;
         double to = *next < sim->divided_count ? smaller(point, sim->divided[*next]) : point;
 #if WIDTH == 1
-        if (sim->events.used && sim->events.next > t) to = smaller(to, sim->events.next);
+        const double event = sim->events.next; /* one that is nearly at the point takes place there */
+        if (sim->events.used && event > t && event < to - sim->events.tolerance) to = event;
 #endif
         const double left = t == last && to == point ? sim->step : to - t;
         set_machine(target, i, count, to);
@@ -344,7 +345,7 @@ int32_t simulation_advance(Simulation *sim) {
     while (!verdict && sim->done < sim->total && sim->recorder.filled < sim->recorder.capacity) {
         verdict = next_step(sim);
         const double spent = sim->tick > 0.0 ? (ticks() - first) * sim->tick : seconds() - began;
-        if (sim->diverged || errors_are_full(sim->errors) || spent > sim->patience) break;
+        if (sim->diverged || errors_are_full(sim->errors) || spent > sim->patience || sim->t >= sim->pause) break;
     }
     sim->spent += seconds() - began, sim->counted += ticks() - first;
     if (sim->counted > 0.0) sim->tick = sim->spent / sim->counted;

@@ -169,3 +169,21 @@ def oscillation(time: NDArray[np.float64]) -> NDArray[np.float64]:
     squares, modes = np.linalg.eigh(np.array([[110.0, -100.0], [-100.0, 1100.0]]))  # N/m, masses of 1 kg
     frequencies, speeds = np.sqrt(squares), modes.T @ np.array([100.0, -100.0])
     return (np.sin(np.outer(time, frequencies)) / frequencies * speeds) @ modes.T
+
+
+def bank_fmu(file: Path) -> Path:
+    """The FMU of bank.c, whose variables are arrays."""
+    source = Path(__file__).with_name("bank.c")
+    text = source.with_suffix(".xml").read_text("utf-8")
+    binary = library("bank", [source], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
+    return packed(file, {"modelDescription.xml": text, member(3, "bank"): binary})
+
+
+def ticking_fmu(file: Path, interval: str, **changes: str) -> Path:
+    """The FMU of ticks.c, whose variables belong to clocks; interval: attributes of its clock `tick`."""
+    source = Path(__file__).with_name("ticks.c")
+    text = source.with_suffix(".xml").read_text("utf-8").replace("INTERVAL", interval)
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    binary = library("unit", [source], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
+    return packed(file, {"modelDescription.xml": text, member(3, "unit"): binary})

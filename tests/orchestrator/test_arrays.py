@@ -1,0 +1,213 @@
+"""Arrays of FMI 3.0: elements are signals; FMUs take them whole. By closed forms, with the FMU of bank.c."""
+
+import zipfile
+
+import numpy as np
+import pytest
+from kit.any_fmu.description import packed
+from kit.any_fmu.models import bank_fmu
+from kit.mistakes import problem
+from kit.ssp import bound, connector, inline, second, ssd, system, wire
+
+from orchestrator import Coupling, Trace, assemble, linearize, load, reference, run
+
+STEP, STOP = 0.1, 1.0
+ROUNDING = 1e-13  # of sums of a few terms of order 1
+BOTH = pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+
+
+@pytest.fixture(scope="session")
+def bank(once):
+    """The FMU of bank.c."""
+
+    return once("bank", lambda folder: bank_fmu(folder / "bank.fmu")) / "bank.fmu"
+
+
+def states(time, k, u):
+    """x of x' = -k x + u from 0, shape (time, k)."""
+    return (1 - np.exp(-np.outer(time, k))) / k * u
+
+
+def of(name, count):
+    return [f"{name}[{i}]" for i in range(1, count + 1)]
+
+
+@BOTH
+@pytest.mark.parametrize("n", [0, 1, 3, 5])
+def test_sizes_follow_from_structural_parameters(bank, kind, n):
+    """Matrices, states, event indicators and integers; also none. Lists set arrays whole."""
+    k, u, m = np.arange(1.0, n + 1), np.linspace(1, 2, n), np.arange(2.0 * n).reshape(2, n)
+    lists = {"bank.k": list(k), "bank.u": u, "bank.m": m} if n else {}
+    given = {"bank.n": n, **lists, "bank.code": "5 6 7"}
+    result = run(load(bank).in_kind(kind), set=given, step=STEP, stop=STOP)
+    y = states(result.time, k, u) @ m.T
+    # of the solver of Model Exchange, whose tolerance is 1e-8; Co-Simulation is exact
+    np.testing.assert_allclose(np.transpose([result[f"bank.{name}"] for name in of("y", 2)]), y, atol=1e-7)
+    assert [result[f"bank.{name}"][-1] for name in of("echo", 3)] == [5, 6, 7]
+    assert [s for s in result if ".u[" in s] == of("bank.u", n)
+    assert result.units["bank.y[1]"] == "m"
+
+
+MASTERS = [Coupling(m) for m in ("jacobi", "gauss-seidel", "hermite", "interface-jacobian")]
+
+
+@pytest.mark.parametrize("master", MASTERS, ids=lambda c: c.method.name)
+def test_elements_are_coupled_like_scalars(bank, master):
+    """A ring a -> b -> a through elements, a part of an array: against the whole system in one ODE."""
+    ring = assemble({"a": bank, "b": bank}, ["a.y[1] -> b.u[2]", "b.y[2] -> a.u[3]"])
+    given = {"a.u[1]": 1.0, "b.k[2]": 4.0, "a.m": "0.1 0.1 0.1 0 0 0"}
+    found = run(ring, set=given, step=1e-3, stop=STOP, master=master)
+    exact = reference(ring.in_kind("ModelExchange"), set=given, record_step=1e-3, stop=STOP)
+    for name in (*of("a.y", 2), *of("b.y", 2)):  # of first order in the step
+        np.testing.assert_allclose(found[name], exact[name], atol=1e-3)
+    assert np.ptp(found["b.y[2]"]) > 0.01
+    assert found["a.u[2]"].max() == found["b.u[3]"].max() == 0.0
+
+
+def test_a_part_of_an_array_leaves_the_rest(bank):
+    """A scenario drives one element, a wire another, --set the third, with a unit; in the same FMU."""
+    pair = assemble({"a": bank, "b": bank}, ["a.y[1] -> b.u[1]"])
+    scenario = Trace(np.array([0.0, 1.0]), {"b.u[2]": np.array([2.0, 2.0])})
+    result = run(pair, scenario, set={"a.u": [1, 0, 0], "b.u[3]": "500 mm"}, step=1e-3, stop=STOP)
+    x = states(result.time, np.array([2.0, 3.0]), np.array([2.0, 0.5]))
+    np.testing.assert_allclose(result["b.y[2]"], x @ [1.0, 2.0], atol=ROUNDING * 1000)
+    assert result["b.u[3]"][-1] == 0.5
+
+
+def test_whole_arrays_are_wired(bank):
+    """Equal shapes element by element; sizes before and after the wires; lines for others."""
+    files = {"a": bank, "b": bank}
+    told = problem(lambda: assemble(files, ["a.y -> b.u"]))
+    assert told == "a.y -> b.u: expected equal shapes, got (2) and (3)"
+    sized = {"b.n": 2, "b.k": "1 1", "b.m": "1 0 0 1"}
+    pair = assemble(files, ["a.y -> b.u"], start=sized)
+    assert [str(c) for c in pair.connections] == ["a.y[1] -> b.u[1]", "a.y[2] -> b.u[2]"]
+    chain = assemble({"a": bank}, inputs={"w": ["a.u[3]"]}).with_start({"a.n": 2, "a.k": "1 1"})
+    assert not chain.inputs
+    told = problem(lambda: pair.with_start({"b.n": 1}))
+    assert told == "a.y -> b.u: expected equal shapes, got (2) and (1)"
+    assert "expected equal shapes, got (2) and a scalar" in problem(
+        lambda: assemble(files, ["a.y -> b.u[1]"])
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            {"bank.n": 2},
+            "bank.k has the shape (2) now: expected start values of all its elements, got none of",
+        ),
+        ({"bank.k": "1 2"}, "bank.k: expected 3 values, got 2"),
+        ({"bank.k": "1 2 x"}, "bank.k[3]: expected a value of type Real, got 'x'"),
+        ({"bank.k[4]": 1}, "unknown variable 'bank.k[4]'"),
+        ({"bank.code[2]": 2**40}, "expected a value in the range of Int32, got"),
+        (
+            {"bank.n": 20000},
+            "bank.k: expected a number or text, got an array of shape (20000), of known sizes",
+        ),
+    ],
+)
+def test_mistakes_with_arrays_are_told(bank, given, message):
+    """In one line with the array or the element."""
+    if given == {"bank.n": 20000}:
+        given = {**given, "bank.k": "1"}
+    assert message in problem(lambda: run(str(bank), set=given, step=STEP, stop=STOP, isolate=False))
+
+
+def test_start_values_must_fit(bank, tmp_path):
+    """As many as elements, or one for all; the line names the file."""
+    with zipfile.ZipFile(bank) as archive:
+        text = archive.read("modelDescription.xml").decode()
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    for start, message in (('"1 2"', "k: expected 3 start values, got 2"), ('"2"', "")):
+        changed = {**parts, "modelDescription.xml": text.replace('start="1 2 3"', f"start={start}")}
+        file = packed(tmp_path / "bank.fmu", changed)
+        if message:
+            assert message in problem(lambda file=file: load(file))
+        else:
+            assert load(file).components["bank"].value("k[3]") == 2.0
+
+
+def test_elements_are_linearised(bank):
+    """A, B, C of all elements, though an FMU takes seeds of whole arrays only; also of a part of them."""
+    linear = linearize(load(bank), set={"bank.u": "1 1 1"})
+    np.testing.assert_allclose(linear.a, np.diag([-1.0, -2.0, -3.0]), atol=ROUNDING)
+    np.testing.assert_allclose(linear.c, [[1, 1, 1], [0, 1, 2]], atol=ROUNDING)
+
+
+# ---- SSP 2.0
+
+
+def sized(name, kind, *sizes):
+    """A connector with Dimensions; no size: any."""
+    dimensions = "".join(f"<ssc:Dimension {size and f'size={size!r}'}/>" for size in sizes)
+    return f'<ssd:Connector name="{name}" kind="{kind}"><ssc:Float64/>{dimensions}</ssd:Connector>'
+
+
+def part(name, bindings="", size=""):
+    ends = sized("u", "input", size) + sized("y", "output", "2")
+    return f"""<ssd:Component name="{name}" source="bank.fmu"><ssd:Connectors>{ends}</ssd:Connectors>
+{bindings}</ssd:Component>"""
+
+
+def file(bank, folder, wires, bindings="", connectors="", size="", second_size=""):
+    parts = [part("a", size=size), part("b", bindings, second_size)]
+    text = second(ssd(system(parts, wires, connectors)))
+    return packed(folder / "two.ssp", {"SystemStructure.ssd": text, "bank.fmu": bank.read_bytes()})
+
+
+TWO = inline(
+    ("n", '<ssv:Int32 value="2"/>'),
+    ("k", '<ssv:Float64 value="1 1"/>'),
+    ("m", '<ssv:Float64 value="1 0 0 1"/>'),
+)
+
+
+def test_arrays_of_a_file(bank, tmp_path):
+    """Dimension, whole wires, lists and sizes in a parameter set, `endIndices`, arrays of the system."""
+    ends = sized("w", "input", "3") + sized("v", "output") + connector("one", "input", "m")
+    wires = [wire("w", "a.u"), wire("a.y", "b.u"), wire("b.y", "v")]
+    one = load(file(bank, tmp_path, wires, TWO, ends.replace(connector("one", "input", "m"), "")))
+    assert [*one.inputs] == of("w", 3)
+    assert [*one.outputs] == of("v", 2)
+    u = {f"w[{i}]": np.array([0.3 * i] * 2) for i in (1, 2, 3)}
+    result = run(one, Trace(np.array([0.0, STOP]), u), step=1e-3, stop=STOP)
+    u = np.array([0.3, 0.6, 0.9])
+    y = states(result.time - 0.5, np.array([1.0, 2.0, 3.0]), u) @ [1, 1, 1]  # the file begins at 0.5 s
+    np.testing.assert_allclose(result["a.y[1]"], y, atol=1000 * ROUNDING)  # a thousand steps
+    np.testing.assert_array_equal(result["v[2]"], result["b.y[2]"])
+    alone = load(file(bank, tmp_path, [wire("one", "a.u", extra='endIndices="2"')], "", ends))
+    assert [str(port) for port, _ in alone.inputs["one"].targets] == ["a.u[2]"]
+
+
+@pytest.mark.parametrize(
+    ("wires", "more", "message"),
+    [
+        (["a.y -> b.u"], {}, "a.y -> b.u: expected equal shapes, got (2) and (3)"),
+        (["a.y -> b.u"], {"bindings": TWO, "second_size": "3"}, "b.u: expected a Dimension for each size"),
+        ([], {"bindings": inline(("k", '<ssv:Float64 value="1 2"/>'))}, "'k': expected 3 values, got 2"),
+        ([], {"bindings": bound('source="no.ssv"')}, "no.ssv"),
+    ],
+)
+def test_files_that_do_not_fit_are_told(bank, tmp_path, wires, more, message):
+    """In one line."""
+    ends = [wire(*pair.split(" -> ")) for pair in wires]
+    assert message in problem(lambda: load(file(bank, tmp_path, ends, **more)))
+
+
+def test_a_parameter_set_has_lists(bank, tmp_path):
+    """Selected by the user: sizes first, whatever the order."""
+    values = (
+        '<ssv:Parameter name="bank.k"><ssv:Real value="4 5"/></ssv:Parameter>'
+        '<ssv:Parameter name="bank.m"><ssv:Real value="1 0 0 1"/></ssv:Parameter>'
+        '<ssv:Parameter name="bank.u"><ssv:Real value="1 1"/></ssv:Parameter>'
+        '<ssv:Parameter name="bank.n"><ssv:Integer value="2"/></ssv:Parameter>'
+    )
+    text = f"""<ssv:ParameterSet version="1.0" name="p"
+ xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"><ssv:Parameters>{values}
+</ssv:Parameters></ssv:ParameterSet>"""
+    (tmp_path / "two.ssv").write_text(text, encoding="utf-8")
+    result = run(str(bank), parameters=[tmp_path / "two.ssv"], step=STEP, stop=STOP)
+    # exact in Co-Simulation
+    np.testing.assert_allclose(result["bank.y[2]"], states(result.time, [5.0], 1.0)[:, 0], atol=ROUNDING)

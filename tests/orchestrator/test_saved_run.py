@@ -1,0 +1,155 @@
+"""A run that was saved goes on bit for bit: in another process, with all masters, steps and kinds of FMUs."""
+
+import json
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+from kit.any_fmu.models import bank_fmu, oscillator_of
+from kit.mistakes import problem
+
+from orchestrator import Coupling, Trace, assemble, run
+
+MASTERS = {
+    "jacobi of order 3": Coupling("jacobi", order=3),
+    "gauss-seidel": Coupling("gauss-seidel"),
+    "hermite": Coupling("hermite"),
+    "interface-jacobian": Coupling("interface-jacobian"),
+    "adaptive": Coupling("gauss-seidel", adaptive=1e-4),
+    "adaptive hermite": Coupling("hermite", adaptive=1e-5),
+}
+STOP, HALF = 2.0, 1.0
+
+
+@pytest.fixture(scope="module")
+def bank(once):
+    return once("bank", lambda folder: bank_fmu(folder / "bank.fmu")) / "bank.fmu"
+
+
+@pytest.fixture(params=["oscillator", "arrays", "Model Exchange"])
+def system(request, fmus, bank):
+    """FMI 2.0; FMI 3.0; an FMU that a solver of this project integrates."""
+    if request.param == "oscillator":
+        return oscillator_of(fmus["mass_a"], fmus["mass_b"])
+    ring = assemble({"a": bank, "b": bank}, ["a.y[1] -> b.u[2]", "b.y[2] -> a.u[3]"], {"a.u[1]": 1.0})
+    return ring.in_kind("ModelExchange", "b") if request.param == "Model Exchange" else ring
+
+
+def same(part, whole):
+    """Are the rows of a run those at the end of another one, in all bits?"""
+    last = slice(len(whole.time) - len(part.time), None)
+    signals = all(np.array_equal(part[name], whole[name][last]) for name in whole.signals)
+    return signals and np.array_equal(part.time, whole.time[last])
+
+
+@pytest.mark.parametrize("master", MASTERS.values(), ids=[*MASTERS])
+def test_two_halves_are_the_whole(system, master, tmp_path):
+    """The first half in the process of a run, the second in this one; its rows begin at the state."""
+    options = {"master": master, **({"record_step": 0.1} if master.adaptive else {"step": 0.01})}
+    whole = run(system, stop=STOP, **options)
+    run(system, stop=HALF, save_state=tmp_path / "half.state", **options)
+    rest = run(system, stop=STOP, resume=tmp_path / "half.state", isolate=False, **options)
+    assert rest.time[0] == HALF
+    assert same(rest.trace, whole.trace)
+    assert (rest.card.steps, rest.card.bonds) == (whole.card.steps, whole.card.bonds)
+    assert any("from t = 1 s on" in note for note in rest.card.notes)
+
+
+def test_a_state_between_two_rows_and_a_scenario(fmus, tmp_path):
+    """Saved on the way by a run of another length; rows at multiples of 4 steps; a scenario that jumps."""
+    system = oscillator_of(fmus["mass_a"], fmus["mass_b"])
+    scenario = Trace(np.array([0.0, 0.75, 0.75, 2.0]), {"b.force": np.array([0.0, 1.0, 3.0, 0.0])})
+    options = {"step": 0.01, "record_step": 0.04, "master": "gauss-seidel"}
+    whole = run(system, scenario, stop=STOP, **options)
+    saved = run(system, scenario, stop=1.2, save_state=f"{tmp_path / 'on.state'}@0.5 s", **options)
+    rest = run(system, scenario, stop=STOP, resume=tmp_path / "on.state", **options)
+    assert rest.time[0] == 0.52
+    assert same(rest.trace, whole.trace)
+    assert f"the state at t = 0.5 s is in {tmp_path / 'on.state'}" in saved.card.notes
+
+
+def test_the_command_goes_on_in_another_process(bank, tmp_path):
+    """`--save-state FILE@TIME` and `--resume FILE`."""
+
+    def command(out, *more):
+        given = ["run", str(bank), "--step", "0.01", "--stop", "1", "--out", str(tmp_path / out), *more]
+        subprocess.run([sys.executable, "-m", "orchestrator", *given], check=True, capture_output=True)
+        return (tmp_path / out).read_text().splitlines()
+
+    whole = command("whole.csv", "--save-state", f"{tmp_path / 'a.state'}@500ms")
+    rest = command("rest.csv", "--resume", str(tmp_path / "a.state"))
+    assert rest[1:] == whole[-len(rest) + 1 :]
+    assert float(rest[1].split(",")[0]) == 0.5
+
+
+# ---- mistakes
+
+
+def cut(file):
+    file.write_bytes(file.read_bytes()[:-50])
+
+
+def flipped(file):
+    """A byte in the middle is another one; the archive has a sum of each member."""
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 255
+    file.write_bytes(data)
+
+
+def text(file):
+    file.write_text("a,b\n1,2\n")
+
+
+def older(file):
+    """A right archive of something else."""
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("document.json", json.dumps({"format": "other"}))
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        (cut, {}, "expected the state of a run as --save-state writes it, got another or a damaged file"),
+        (flipped, {}, "got another or a damaged file"),
+        (text, {}, "got another or a damaged file"),
+        (older, {}, "got another or a damaged file"),
+        (None, {"master": "hermite"}, "master: expected gauss-seidel of the saved run, got hermite"),
+        (None, {"step": 0.02}, "step: expected 0.01 of the saved run, got 0.02"),
+        (None, {"order": 2}, "setting order of the master: expected None of the saved run, got 2"),
+        (None, {"set": {"a.k": "1 2 4"}}, "start values of a: expected "),
+        (None, {"stop": 0.5}, "expected a stop time after t = 1 s of the state, got 0.5 s"),
+        (None, {"resume": "no.state"}, "no.state"),
+        (None, {"accuracy": 1e-3}, "resume: expected one run with a given master and step, got accuracy"),
+        (None, {"save_state": "b.state@7s"}, "expected a time of the run, from 0 s to 2 s, got 7s"),
+        (None, {"save_state": "b.state@0.505"}, "expected a communication point, such as"),
+    ],
+)
+def test_a_state_that_does_not_fit_is_told(bank, tmp_path, change, options, message):
+    """In one line, before the first step."""
+    system = assemble({"a": bank, "b": bank}, ["a.y[1] -> b.u[2]"], {"a.u[1]": 1.0})
+    run(system, step=0.01, stop=HALF, master="gauss-seidel", save_state=tmp_path / "a.state")
+    if change:
+        change(tmp_path / "a.state")
+    given = {"step": 0.01, "stop": STOP, "master": "gauss-seidel", "resume": tmp_path / "a.state", **options}
+    if "accuracy" in options:
+        del given["step"], given["master"]
+    told = problem(lambda: run(system, **given))
+    assert message in told
+    assert "\n" not in told
+
+
+def test_other_fmus_are_told(bank, fmus3, tmp_path):
+    """Another FMU under the same name, and one that cannot serialise its state."""
+    run(str(bank), step=0.1, save_state=tmp_path / "a.state")
+    other = tmp_path / "other" / "bank.fmu"
+    other.parent.mkdir()
+    other.write_bytes(bank.read_bytes())
+    with zipfile.ZipFile(other, "a") as archive:
+        archive.writestr("resources/x", "y")
+    told = problem(lambda: run(str(other), step=0.1, resume=tmp_path / "a.state"))
+    assert "FMU of bank: expected " in told
+    plain = fmus3.make("gain", "plain", able={"canSerializeFMUState": "false"})
+    told = problem(lambda: run(str(plain), step=0.1, save_state=tmp_path / "b.state"))
+    assert told == "save_state: plain cannot serialise its state: expected FMUs that can"
