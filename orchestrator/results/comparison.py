@@ -328,7 +328,7 @@ def _moving(row: ValidatedSignal, least: float) -> ValidatedSignal | None:
 
 def _validate(recording: Recording, run: Run) -> Validation:
     try:
-        return validate(run.trace, recording, rate=False)
+        return validate(run.trace, recording)
     except Problem as problem:
         raise Problem(f"compare {run.label} with {problem}") from None
 

@@ -278,7 +278,7 @@ def _signal_table(comparison: Comparison, labels: Sequence[str]) -> TextTable:
     for signal in comparison.signals:
         row = by_run[0][signal]
         if row.group != group:
-            rows.append([f"{row.group}"] + [""] * len(by_run))
+            rows.append([row.group])
         group = row.group
         cells = (
             EQUAL if comparison.equal(label, of_run[signal]) else ", ".join(_cells(of_run[signal]))

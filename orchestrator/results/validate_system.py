@@ -140,18 +140,16 @@ def judge(
     layout: Layout,
     out: Path,
     facts: Mapping[str, Any],
-    rate: bool = True,
     machine: Markup = Markup(),  # noqa: B008  immutable
 ) -> tuple[Validation, Report, Path, Path]:
     """Compare a run with a reference and write report.html and report.json into the folder `out`.
 
     layout  without figures there is one, with a row per compared signal
     facts   settings of the run, in the order of the report
-    rate    whether to compute the ISO/TS 18571 rating, which takes most of the time
     machine the machine that replays the run, as HTML
     """
     with doing(f"comparing {len(reference.signals)} signals"):
-        validation = validate(result.trace, reference, rate=rate)
+        validation = validate(result.trace, reference)
     validation = replace(validation, unreliable=result.card.unreliable)
     layout.check(result.trace)
     panels = tuple(PanelSpec(row.title, (row.signal,)) for row in validation.rows)
@@ -353,14 +351,12 @@ class Experiment:
 def validate_system(
     of: Experiment,
     out: Path,
-    rate: bool = True,
     default_accuracy: float | None = None,
     report: Callable[[str], object] = lambda _: None,
 ) -> tuple[Validation, str]:
     """Co-simulate, compare, write the trace and the report; returns comparison, and what to print.
 
     out      folder of run.csv, report.html and report.json
-    rate     whether to compute the ISO/TS 18571 rating
     default_accuracy   as for `run_to_file`
     report           called before the run with what differs in the numbers of the system, if anything does
     """
@@ -417,7 +413,7 @@ def validate_system(
     machine, reason = _machine(of.system, result, against)
     result = result.noted(reason) if reason else result
     result = replace(result, trace=recorded)
-    validation, found, html, data = judge(result, against, page, out, facts, rate, machine)
+    validation, found, html, data = judge(result, against, page, out, facts, machine)
     files = f"report: {html}\nnumbers: {data}\ntrace: {file}"
     return validation, f"{found.text()}\n\n{card.text()}\n\n{files}"
 

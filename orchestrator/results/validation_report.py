@@ -8,7 +8,7 @@ is dotted, and the strip below shows simulation - reference on its own scale.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
@@ -63,7 +63,6 @@ NAMES = {
     "maximum_relative": "max. relative error",
     "fit": "fit",
     "vaf": "VAF",
-    "iso": "ISO rating",
 }
 ALMOST = 99.99  # [%]
 MISSED = 20  # signals outside their limits that are listed
@@ -74,8 +73,7 @@ SAME_EQUATIONS = (
 METRICS = (
     "Error = simulation - reference. NRMSE: RMSE over the range of the reference. Fit:"
     " 100 (1 - ‖error‖ / ‖reference - its mean‖). VAF: variance accounted for,"
-    " 100 (1 - var(error) / var(reference)). ISO/TS 18571: 0 to 1, of corridor, phase, magnitude and slope;"
-    " above 0.94 excellent, 0.80 good, 0.58 fair"
+    " 100 (1 - var(error) / var(reference))"
 )
 
 
@@ -114,6 +112,7 @@ def validation_report(
     drawn = [(f.title, Figure(traces(f, validation, trace), f.title, f.caption)) for f in figures]
     parts: list[Part] = [
         Text(_summary(validation), only=TERMINAL),
+        _numbers(validation),
         *_worst(validation, trace),
         Machine(machine),
         Section("Warnings of the run", [Text(warnings, "warn")]),
@@ -148,7 +147,6 @@ def summary(validation: Validation) -> str:
 def _data(row: ValidatedSignal) -> dict[str, Any]:
     """A signal for programs, in SI units or its declared unit."""
     metrics = asdict(row.metrics)
-    metrics["iso"]["grade"] = row.metrics.iso.grade
     metrics.pop("notes")
     return {
         **{name: getattr(row, name) for name in ("signal", "label", "group", "unit")},
@@ -215,8 +213,6 @@ def _signals(validation: Validation) -> TextTable:
             result = Markup('<span class="mark {}">{}</span>').format(state, state) + soft.format(
                 typeset(limit_text(row))
             )
-            iso = m.iso
-            rated = "not rated" if iso.overall is None else f"{iso.overall:.3f}"
             rows.append(
                 [
                     label + Markup("<code>{}</code>").format(breakable(row.signal)),
@@ -226,11 +222,10 @@ def _signals(validation: Validation) -> TextTable:
                     unit.text(m.rmse),
                     percent(m.fit, m.rmse),
                     percent(m.vaf, m.rmse),
-                    escape(rated) + soft.format(iso.grade if iso.overall is not None else iso.reason),
                 ]
             )
             rows += [[f"{row.signal}: {note}"] for note in row.notes]
-    head = ["signal", "result", "NRMSE over range", "max. error", "RMSE", "fit", "VAF", "ISO/TS 18571"]
+    head = ["signal", "result", "NRMSE over range", "max. error", "RMSE", "fit", "VAF"]
     return TextTable(head, rows, left=(0, 1))
 
 
@@ -319,7 +314,7 @@ def miss_text(row: ValidatedSignal) -> str:
     metric, allowed, value = NAMES[row.tolerance.metric], row.tolerance.limit, row.judged_value
     limits = f"limit {judged_text(row, allowed)}"
     if value is None:
-        reason = row.metrics.iso.reason if row.tolerance.metric == "iso" else "; ".join(row.notes)
+        reason = "; ".join(row.notes)
         return f"no {metric}, {limits}" + (f" ({reason})" if reason else "")
     if not row.tolerance.upper:
         return f"{metric} {judged_text(row, value)}, {limits} ({judged_text(row, allowed - value)} short)"
@@ -327,67 +322,41 @@ def miss_text(row: ValidatedSignal) -> str:
     return f"{metric} {judged_text(row, value)}, {limits} ({number(ratio, 3 if ratio > 1.01 else 9)} times)"
 
 
-_WIDTHS = (9, 8, 8, 7, 7, 5, 4)
-_HEADINGS = ("max error", "RMSE", "NRMSE %", "fit %", "VAF %", "ISO", "")
-_LEGEND = "NRMSE: over the range of the reference, or a given one; ISO: ISO/TS 18571"
-WIDTH = 80  # characters of a line
-
-
 def _summary(validation: Validation) -> list[str]:
-    """Failed signals, table and notes."""
+    """Why a run is not reliable, and the failed signals, the worst first."""
     lines = [f"FAIL: {reason}" for reason in validation.unreliable]
-    lines += [*_missed(validation), f"Compared with: {validation.title}", *_table(validation)]
-    return [*lines, _LEGEND, *validation.notes, *_remarks(validation)]
+    if failed := sorted(validation.failed, key=lambda row: -row.limit_use):
+        verb = "is outside its limit" if len(failed) == 1 else "are outside their limits"
+        lines.append(f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}")
+        lines += [f"! {row.signal}: {miss_text(row)}" for row in failed[:MISSED]]
+        lines += [f"! {len(failed) - MISSED} more, in the report"] if len(failed) > MISSED else []
+    return lines
 
 
-def _missed(validation: Validation) -> Iterator[str]:
-    """The worst signals outside their limits."""
-    if not validation.failed:
-        return
-    failed = [(row.limit_use, row) for row in validation.failed if row.tolerance]
-    failed.sort(key=lambda entry: -entry[0])
-    verb = "is outside its limit" if len(failed) == 1 else "are outside their limits"
-    yield f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}"
-    more = [f"{len(failed) - MISSED} more, in the report"] if len(failed) > MISSED else []
-    lines = [f"{row.signal}: {miss_text(row)}" for _, row in failed[:MISSED]]
-    yield from (f"! {line}" for line in (*lines, *more))
-    yield ""
-
-
-def _table(validation: Validation) -> Iterator[str]:
-    """Headings, then a line for each group and unit, and below it a line for each signal.
-
-    Signals without limit are last. A component is only written if another signal has the same variable.
-    """
-    rows = [row for row in validation.rows if row.listed]
-    names = short_names(row.signal for row in rows)
-    sections = grouped(sorted(rows, key=lambda row: row.tolerance is None), _section)
-    name_width = min(
-        max(map(len, names.values()), default=0), max(WIDTH - sum(_WIDTHS) - len(_WIDTHS) - 2, 12)
-    )
-    yield _line("  ", "", name_width, _HEADINGS)
-    for title, members in sections.items():
-        yield f"{title}{_limits(members)}"
+def _numbers(validation: Validation) -> Table:
+    """The listed signals by group, unit and limit; those without limit are last."""
+    listed = [row for row in validation.rows if row.listed]
+    names, rows = short_names(row.signal for row in listed), list[list[str]]()
+    for title, members in grouped(sorted(listed, key=lambda row: row.tolerance is None), _section).items():
+        rows.append([title])
         for row in members:
-            mark = "! " if row.passed is False else "  "
-            yield _line(mark, names[row.signal], name_width, _cells(row))
-    if others := [row.limit_use for row in validation.rows if not row.listed]:
-        yield f"{len(others)} others: at most {limit_share(max(others))} of their limits"
+            m, unit, mark = row.metrics, error_display_unit(row.unit), "!" if row.passed is False else " "
+            errors = unit.plain(m.maximum_error), unit.plain(m.rmse), percentage(m.nrmse)
+            passed = {True: "pass", False: "FAIL", None: NO_VALUE}[row.passed]
+            fits = percent(m.fit, m.rmse), percent(m.vaf, m.rmse)
+            rows.append([f"{mark} {names[row.signal]}", *errors, *fits, passed])
+    others = [row.limit_use for row in validation.rows if not row.listed]
+    below = [f"{len(others)} others: at most {limit_share(max(others))} of their limits"] if others else []
+    below.append("NRMSE: over the range of the reference, or a given one")
+    head = ["", "max error", "RMSE", "NRMSE", "fit", "VAF", ""]
+    table = TextTable(head, rows, title=f"Compared with: {validation.title}")
+    return Table(table, [*below, *validation.notes, *_remarks(validation)], only=TERMINAL)
 
 
 def _section(row: ValidatedSignal) -> str:
-    """Group, unit and metric of a signal, the beginning of the title of its section."""
-    judged = NAMES[row.tolerance.metric] if row.tolerance else "not judged"
-    return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {judged}"
-
-
-def _limits(rows: Sequence[ValidatedSignal]) -> str:
-    """The limit of a section, or the smallest and the largest one."""
-    if (tolerance := rows[0].tolerance) is None:
-        return ""
-    sizes = sorted(row.tolerance.limit for row in rows if row.tolerance)
-    ends = dict.fromkeys(judged_text(rows[0], size) for size in (sizes[0], sizes[-1]))
-    return f" {'<=' if tolerance.upper else '>='} {' to '.join(ends)}"
+    """Group, unit and limit of a signal."""
+    limit = limit_text(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
+    return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {limit}"
 
 
 def _remarks(validation: Validation) -> list[str]:
@@ -395,29 +364,6 @@ def _remarks(validation: Validation) -> list[str]:
     listed = ((note, row.signal) for row in validation.rows for note in row.notes if row.listed)
     notes = grouped((pair for pair in listed if not pair[0].startswith(GIVEN)), itemgetter(0))
     return [f"{note}: {', '.join(signal for _, signal in pairs)}" for note, pairs in notes.items()]
-
-
-def _cells(row: ValidatedSignal) -> tuple[str, ...]:
-    m, unit = row.metrics, error_display_unit(row.unit)
-    fits = (
-        "<-999" if v is not None and v < -999 else percent(v, m.rmse).removesuffix(" %").replace("> ", ">")
-        for v in (m.fit, m.vaf)
-    )
-    return (
-        unit.plain(m.maximum_error),
-        unit.plain(m.rmse),
-        percentage(m.nrmse).removesuffix(" %"),
-        *fits,
-        NO_VALUE if m.iso.overall is None else f"{m.iso.overall:.3f}",
-        {True: "pass", False: "FAIL", None: NO_VALUE}[row.passed],
-    )
-
-
-def _line(mark: str, name: str, name_width: int, cells: tuple[str, ...]) -> str:
-    """A row of the table; a name longer than `name_width` is in a line of its own."""
-    above, name = (f"{mark}{name}\n", "") if len(name) > name_width else ("", name)
-    numbers = " ".join(cell.rjust(width) for cell, width in zip(cells, _WIDTHS, strict=True))
-    return f"{above}{mark}{name.ljust(name_width)} {numbers}".rstrip()
 
 
 # ---- figures

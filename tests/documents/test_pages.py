@@ -54,7 +54,7 @@ def validated() -> str:
     reference = Recording(TIME, known.signals, known.units, Path("ref.csv"), **about)
     panels = PanelSpec("Angle", ("arm.angle",)), PanelSpec("Pressure", ("pump.pressure",), ("head",))
     spec = FigureSpec("Arm", panels)
-    checked = validate(run(0.01), reference, rate=False)
+    checked = validate(run(0.01), reference)
     return validation_report("Arm", checked, (spec,), run(0.01), {"step [s]": 0.001}).html()
 
 

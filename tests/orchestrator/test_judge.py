@@ -37,7 +37,7 @@ def judged(fmu, ramp, reference, out, layout=None, factor=2.0):
     """Run the gain and judge it; returns the validation and the report's data."""
     result = run(str(fmu), ramp, step=0.1, set={"gain.factor": factor})
     facts = {"system": "gain.fmu", "steps asked for": 10}
-    validation, _, html, data = judge(result, reference, layout or Layout(), out, facts, rate=False)
+    validation, _, html, data = judge(result, reference, layout or Layout(), out, facts)
     assert html.read_text(encoding="utf-8").startswith("<!")
     return validation, json.loads(data.read_text(encoding="utf-8"))
 
@@ -131,5 +131,5 @@ def test_a_system_in_memory_can_be_judged(fmus, reference, tmp_path):
     """Also one of two components, without a scenario."""
     system: System = assemble({"s": fmus["source"], "gain": fmus["gain"]}, ["s.y -> gain.u"])
     result = run(system, step=0.1, stop=1.0)
-    validation, *_ = judge(result, reference, Layout(), tmp_path, {}, rate=False)
+    validation, *_ = judge(result, reference, Layout(), tmp_path, {})
     assert [row.signal for row in validation.failed] == ["gain.y"]

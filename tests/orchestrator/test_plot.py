@@ -216,8 +216,8 @@ def test_validate_takes_data_frames(body):
     """Reference and run, in the units of the run."""
     result = run(body, RAMP, stop=1.0)
     frame = result.to_pandas()[["body.x"]]
-    (row,) = validate(result, frame, rate=False).rows
+    (row,) = validate(result, frame).rows
     assert (row.unit, row.metrics.rmse) == (result.trace.units["body.x"], 0.0)
-    (row,) = validate(frame, frame + 2, rate=False).rows
+    (row,) = validate(frame, frame + 2).rows
     # 1e-12: rounding of a mean of 1001 equal numbers
     assert row.metrics.rmse == pytest.approx(2.0, rel=1e-12)

@@ -153,7 +153,7 @@ def short():
 
 def test_what_a_cell_ends_with_is_short(result, built):
     """At most five lines and 600 characters, however many signals, runs or components there are."""
-    validation = validate(result, result.trace, rate=False)
+    validation = validate(result, result.trace)
     shown = [
         *(result, result.trace, result.card, result.system, validation, validation.rows[0]),
         *(fmus.PARTS, fmus.HARVESTER, fmus.values(fmus.HARVESTER), linearize(built / "harvester.ssp")),
