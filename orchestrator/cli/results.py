@@ -85,7 +85,7 @@ def compare(
 ) -> None:
     """Compare traces of runs.
 
-    Prints the difference of each signal and the cost of each run, and draws the signals.
+    Prints the difference of each signal and the cost of each run, and draws the signals on a page.
 
     traces    Two or more traces (.csv, .parquet, .mat, .mf4, .tdms).
     against   Trace to compare with; default: the first TRACE.
@@ -93,16 +93,17 @@ def compare(
               pressures and angles. The summary covers all signals.
     start     Start of the time window [s]; default: start of the overlap.
     stop      End of the time window [s]; default: end of the overlap.
-    out       Folder of comparison.html, .png and .json.
+    out       Folder of comparison.html and .json.
     """
     from orchestrator.base.files import make_folder
     from orchestrator.results.comparison import compare as compare_traces
-    from orchestrator.results.comparison_report import text, write
+    from orchestrator.results.comparison_report import report
 
     comparison = compare_traces(traces, against=against, signals=signals or (), start=start, stop=stop)
     make_folder(out)
-    page, picture, numbers = write(comparison, out)
-    print(f"{text(comparison)}\n\npage: {page}\npicture: {picture}\nnumbers: {numbers}")
+    found = report(comparison)
+    page, numbers = found.write(out / "comparison.html")
+    print(f"{found.text()}\n\npage: {page}\nnumbers: {numbers}")
 
 
 @command
@@ -123,23 +124,27 @@ def plot(
               six signals of each of four quantities.
     start     Start of the time window [s]; default: all.
     stop      End of the time window [s]; default: all.
-    out       File of the picture (.png, .svg, .pdf); default: a window, or build/plot.png without a display.
+    out       File of a picture (.png, .svg, .pdf); default: a page, build/plot.html, with zoom and values.
     """
-    from orchestrator.pages.plotting import show
+    from orchestrator.pages import html_page
+    from orchestrator.pages.plotting import draw
+    from orchestrator.results.report import Figure, Report
 
     chosen, (first, *others) = _runs(files, out)
     title = ", ".join(run.label for run in (first, *others))
     names = first.trace.window(start, stop).matching(signals or ())
     beside = {run.label: run.trace for run in others}
-    figure = first.trace.plot(
+    figure = first.trace.figure(
         *(signals or ()), title=title, start=start, stop=stop, others=beside, label=first.label
     )
     more = "" if signals else "; choose others with --signals PATTERN"
-    print(f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}{more}")
-    if out is None and show(figure, title):
-        return
-    picture = _write(figure, out or BUILD / "plot.png")
-    print(f"{'' if out else 'no display for a window; '}picture: {picture}")
+    told = f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}"
+    print(f"{told}{more}")
+    if out is None:
+        html_page.write_text(BUILD / "plot.html", Report(title, told, [Figure(figure, title)]).html())
+        print(f"page: {BUILD / 'plot.html'}")
+    else:
+        print(f"picture: {_write(draw(figure), out)}")
 
 
 @command

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from markupsafe import Markup, escape
 
@@ -52,9 +52,6 @@ from orchestrator.results.report import (
     Text,
 )
 from orchestrator.results.validation import ValidatedSignal, Validation
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
 
 NAMES = {
     "nrmse": "NRMSE",
@@ -117,7 +114,6 @@ def validation_report(
         Machine(machine),
         Section("Warnings of the run", [Text(warnings, "warn")]),
         *(Section(name, [figure]) for name, figure in drawn),
-        Section("Use of limits", [Table(_use_of_limits(validation))], folded=True),
         Section("Signals", [Table(_signals(validation)), Text([METRICS], "soft")], folded=True),
         Section("Run", [settings, Text(notes, "soft"), card_table, Table(_components(components))], True),
         Section(f"Parameters ({len(parameters)}{of_run})", [Table(_parameters(parameters))], True),
@@ -185,21 +181,6 @@ def _worst(validation: Validation, trace: Trace | None) -> list[Figure]:
     return [Figure(replace(figure, panels=[panel]), "Worst signal", typeset(caption), heading)]
 
 
-def _use_of_limits(validation: Validation) -> TextTable:
-    """Of each group its signal with the largest use of its limit."""
-    rows = []
-    for name, members in validation.groups.items():
-        judged = [row for row in members if row.passed is not None]
-        if judged:
-            worst = max(judged, key=lambda row: row.limit_use)
-            failed = sum(not row.passed for row in judged)
-            value = judged_text(worst, worst.judged_value)
-            texts = [limit_share(worst.limit_use), value, limit_text(worst), f"{failed} of {len(judged)}"]
-            rows.append([upper_first(name or "signals"), breakable(worst.title), *texts])
-    head = ["group", "worst signal", "use of its limit", "value", "limit", "failed"]
-    return TextTable(head, rows, left=(0, 1))
-
-
 def _signals(validation: Validation) -> TextTable:
     """All signals with their metrics, by group."""
     rows: list[list[str]] = []
@@ -211,7 +192,7 @@ def _signals(validation: Validation) -> TextTable:
             label = Markup("{}<br>").format(row.label) if row.label else Markup()
             state = "pass" if row.passed else "fail"
             result = Markup('<span class="mark {}">{}</span>').format(state, state) + soft.format(
-                typeset(limit_text(row))
+                typeset(f"{limit_share(row.limit_use)} of {limit_text(row)}")
             )
             rows.append(
                 [
@@ -281,15 +262,7 @@ def judged_text(row: ValidatedSignal, value: float | None) -> str:
         return error_display_unit(row.unit).ascii(value)
     if row.tolerance.metric in ("nrmse", "maximum_relative"):
         return percentage(value)
-    return _exact_percent(value) if row.tolerance.metric in ("fit", "vaf") else number(value)
-
-
-def _exact_percent(value: float) -> str:
-    """Fit or VAF [%] beside its limit, rounded down: two decimals, near 100 % up to four."""
-    if value < 99:
-        return f"{math.floor(100 * value + 1e-6) / 100:.2f} %"
-    text = f"{math.floor(1e4 * value + 1e-6) / 1e4:.4f}"
-    return f"{text[:-2]}{text[-2:].rstrip('0')} %"
+    return f"{math.floor(1e4 * value + 1e-6) / 1e4:g} %"  # fit or VAF, rounded down
 
 
 def limit_text(row: ValidatedSignal) -> str:
@@ -367,13 +340,6 @@ def _remarks(validation: Validation) -> list[str]:
 
 
 # ---- figures
-
-
-def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> Drawing:
-    """The figure of a validation with its title, drawn by matplotlib."""
-    from orchestrator.pages import plotting
-
-    return plotting.draw(replace(traces(spec, validation, trace), title=spec.title))
 
 
 def traces(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> TraceFigure:

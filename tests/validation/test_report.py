@@ -23,10 +23,10 @@ from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.pages import plotting
 from orchestrator.pages.figures import VENDOR
-from orchestrator.pages.plotting import decimate, png, svg
+from orchestrator.pages.plotting import decimate, draw, png, svg
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.validation import Validation, validate
-from orchestrator.results.validation_report import draw, validation_report
+from orchestrator.results.validation_report import traces, validation_report
 
 VOID = {"meta", "link", "br", "wbr", "input", "img"}
 
@@ -241,7 +241,7 @@ def test_decimation_keeps_the_extremes_and_the_ends(values: list[float], buckets
 @pytest.fixture(scope="module")
 def figure(outcome: Validation, trace: Trace) -> Figure:
     """The figure of SPEC, drawn."""
-    made = draw(SPEC, outcome, trace)
+    made = draw(traces(SPEC, outcome, trace))
     made.draw_without_rendering()
     return made
 
@@ -261,7 +261,7 @@ def test_signals_that_are_not_judged_have_no_error_strip(edited: Edit, trace: Tr
 
     def strips(old: str, new: str) -> int:
         judged = validate(trace, read_recording(edited(old, new)))
-        return sum("error" in axes.get_ylabel() for axes in draw(SPEC, judged, trace).axes)
+        return sum("error" in axes.get_ylabel() for axes in draw(traces(SPEC, judged, trace)).axes)
 
     assert strips('angle = { metric = "nrmse", limit = 0.01 }', 'angle = "none"') == 1
     assert strips('pressure = { metric = "maximum", limit = 2.0 }', 'pressure = "none"') == 2
@@ -287,7 +287,7 @@ def test_unknown_signal_is_refused(outcome: Validation, trace: Trace) -> None:
     """The message contains the figure and its unknown signal."""
     spec = FigureSpec("Shaft", (PanelSpec("Angle", ("shaft.angel",)),))
     expected = "figure 'Shaft': expected a signal of the comparison or of the run, got 'shaft.angel'"
-    assert expected in problem(lambda: draw(spec, outcome, trace))
+    assert expected in problem(lambda: traces(spec, outcome, trace))
 
 
 def test_an_embedded_figure_is_reproducible_and_follows_the_page(outcome, trace, monkeypatch) -> None:
@@ -295,7 +295,7 @@ def test_an_embedded_figure_is_reproducible_and_follows_the_page(outcome, trace,
 
     Inline it has colours by variable, ids of its own and text as text; with too many points it is a picture.
     """
-    one, other = (draw(ANGLE, outcome, trace) for _ in range(2))
+    one, other = (draw(traces(ANGLE, outcome, trace)) for _ in range(2))
     assert svg(one) == svg(other)
     text = str(plotting.embed(one, "f7-", "Shaft"))
     assert text.startswith("<svg")

@@ -114,7 +114,7 @@ def test_only_perfect_shows_hundred_percent(value: float | None, rmse: float, te
     assert percent(value, rmse) == text
 
 
-@pytest.mark.parametrize(("value", "text"), [(99.9912, "fit 99.9912 %"), (99.5, "fit 99.50 %")])
+@pytest.mark.parametrize(("value", "text"), [(99.9912, "fit 99.9912 %"), (99.5, "fit 99.5 %")])
 def test_a_value_and_its_limit_near_hundred_percent_differ(value: float, text: str) -> None:
     """A fit of 99.9912 % misses a limit of 99.995 %, and both are printed so that this is seen."""
     row = made(a__x=Tolerance("fit", 99.995)).rows[0]
