@@ -41,7 +41,9 @@ class Text:
         return "\n".join(self.lines)
 
     def html(self) -> Markup:
-        """For a page: each line a sentence."""
+        """For a page: each line a sentence; of the kind pre as in a terminal."""
+        if self.kind == "pre":
+            return Markup("<pre>{}</pre>").format(self.text())
         tag = Markup(f'<p class="{self.kind}">') if self.kind else Markup("<p>")
         return Markup("\n").join(tag + html_page.sentence(line) + Markup("</p>") for line in self.lines)
 

@@ -153,18 +153,21 @@ def judge(
     validation = replace(validation, unreliable=result.card.unreliable)
     layout.check(result.trace)
     panels = tuple(PanelSpec(row.title, (row.signal,)) for row in validation.rows)
+    run = {
+        "facts": facts,
+        "accuracy": result.card,
+        "components": [describe(c) for c in result.system.components.values()],
+        "parameters": list(parameters(result.system)),
+        "warnings": result.card.warnings,
+        "notes": result.card.notes,
+    }
     found = validation_report(
-        title=layout.title or f"Validation of {result.system.name}",
-        validation=validation,
-        figures=layout.figures or ((FigureSpec("Signals over time", panels),) if panels else ()),
-        trace=result.trace,
-        facts=facts,
-        components=[describe(c) for c in result.system.components.values()],
-        parameters=list(parameters(result.system)),
-        card=card(result),
-        machine=machine,
-        warnings=result.card.warnings,
-        notes=result.card.notes,
+        layout.title or f"Validation of {result.system.name}",
+        validation,
+        layout.figures or ((FigureSpec("Signals over time", panels),) if panels else ()),
+        result.trace,
+        run,
+        machine,
         caution="; ".join(filter(None, (*result.card.unreliable, another_model(result.system, reference)))),
     )
     with doing("writing the report"):
@@ -251,26 +254,6 @@ def _provenance(component: Component) -> Mapping[str, Mapping[str, Any]]:
     except Problem:
         return {}  # other FMUs have no such file, or a different file of that name
     return tables if isinstance(tables, dict) else {}
-
-
-def card(result: Result) -> Mapping[str, Any]:
-    """The accuracy card for the report."""
-    c = result.card
-    return {
-        "wall time [s]": round(c.wall, 3),
-        "real-time factor": round(c.real_time_factor, 1),
-        "steps": c.steps,
-        **({"passes per step": round(c.passes / max(c.steps, 1), 2)} if c.passes > c.steps else {}),
-        **({"steps repeated": c.repeated} if c.repeated else {}),
-        "energy residual of the power bonds, share of the exchanged energy": {
-            b.name: _bond(*c.bond(b)) for b in c.bonds
-        },
-    }
-
-
-def _bond(residual: str, exchanged: str, share: str) -> str:
-    joules = f"{residual} J of {exchanged} J"
-    return share if not exchanged else joules if share == "-" else f"{share} ({joules})"
 
 
 @dataclass(frozen=True)
@@ -466,15 +449,8 @@ def _facts(
         "scenario": str(scenario) if scenario else "none: the inputs are those of the system",
         "reference": reference,
         "master": card.master,
+        "simulated [s]": card.simulated,
     }
-    if card.adaptive is None:
-        facts |= {"communication step [s]": card.step, "record step [s]": card.record_step}
-    else:
-        shortest, longest = card.lengths
-        facts["tolerance of a step"] = card.adaptive
-        facts["communication step [s]"] = f"{shortest:.3g} to {longest:.3g}, on average {card.step:.3g}"
-        facts["record step [s]"] = card.record_step or "every communication step"
-    facts["simulated [s]"] = card.simulated
     for name in ("parameters", "cut"):
         facts |= {name: ", ".join(options[name])} if options.get(name) else {}
     facts |= {f"swap {name}": chosen for name, chosen in (options.get("swap") or {}).items()}

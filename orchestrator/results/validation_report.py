@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from operator import itemgetter
+from types import MappingProxyType
 from typing import Any
 
 from markupsafe import Markup, escape
@@ -79,56 +80,54 @@ def validation_report(
     validation: Validation,
     figures: Sequence[FigureSpec] = (),
     trace: Trace | None = None,
-    facts: Mapping[str, Any] | None = None,
-    components: Sequence[Mapping[str, str]] = (),
-    parameters: Sequence[Mapping[str, Any]] = (),
-    card: Mapping[str, Any] | None = None,
+    run: Mapping[str, Any] = MappingProxyType({}),
     machine: Markup = Markup(),  # noqa: B008  immutable
-    warnings: Sequence[str] = (),
-    notes: Sequence[str] = (),
     caution: str = "",
 ) -> Report:
     """The report of a validation.
 
-    facts        settings of the run in the order of the report: system, scenario, master, step, ...
-    components   of each FMU: name, file, version, fmi, tool, text, guid, sha256
-    parameters   of the run: component, name, value, unit, text, source, note; `changed` if it was set for
-                 this run; `shipped` and `origin` of one that differs from the shipped value
-    card         accuracy card of the run: name -> number, text or a mapping of those
     trace        the run, for figures of signals that were not compared, such as commands
+    run          facts: settings of the run; accuracy: its card; notes; warnings
+                 components: of each FMU name, file, version, fmi, tool, text, guid, sha256
+                 parameters: component, name, value, unit, text, source, note; `changed` if it was set for
+                 this run; `shipped` and `origin` of one that differs from the shipped value
     machine      the machine that replays the run and can be driven, as HTML
     caution      remark before the verdict
     """
+    none = dict.fromkeys(("components", "parameters", "notes", "warnings"), ())
+    run = {"facts": {}, "accuracy": None, **none, **run}
     simulated = str(validation.about.get("kind", "")).startswith("simulation")
     start, stop = validation.window
     against = f"Compared with {validation.title} from {number(start)} to {number(stop)} s"
-    changed = sum(bool(p.get("changed")) for p in parameters)
+    changed = sum(bool(p.get("changed")) for p in run["parameters"])
     of_run = f", {changed} changed for this run" if changed else ""
-    settings, card_table = Facts(facts or {}), Section("Accuracy card", [Facts(card or {})])
+    told = run["accuracy"].text().splitlines() if run["accuracy"] else ()
+    card = Text([line for line in told if not line.startswith(("note: ", "warning: "))], "pre")
     about = {"file": validation.source, **validation.about}
     drawn = [(f.title, Figure(traces(f, validation, trace), f.title, f.caption)) for f in figures]
+    of_parameters = f"Parameters ({len(run['parameters'])}{of_run})"
     parts: list[Part] = [
         Text(_summary(validation), only=TERMINAL),
         _numbers(validation),
         *_worst(validation, trace),
         Machine(machine),
-        Section("Warnings of the run", [Text(warnings, "warn")]),
+        Section("Warnings of the run", [Text(run["warnings"], "warn")]),
         *(Section(name, [figure]) for name, figure in drawn),
         Section("Signals", [Table(_signals(validation)), Text([METRICS], "soft")], folded=True),
-        Section("Run", [settings, Text(notes, "soft"), card_table, Table(_components(components))], True),
-        Section(f"Parameters ({len(parameters)}{of_run})", [Table(_parameters(parameters))], True),
+        Section(
+            "Run",
+            [Facts(run["facts"]), Text(run["notes"], "soft"), card, _components(run["components"])],
+            True,
+        ),
+        Section(of_parameters, [Table(_parameters(run["parameters"]))], True),
         Section("Reference", [Facts(about), Text(validation.notes, "soft")], folded=True),
     ]
     data = {
         "reference": about,
         "window": {"start": start, "stop": stop},
         "signals": [_data(row) for row in validation.rows],
-        "facts": facts or {},
-        "accuracy": card or {},
-        "components": components,
-        "parameters": parameters,
-        "notes": [*notes, *validation.notes],
-        "warnings": warnings,
+        **run,
+        "notes": [*run["notes"], *validation.notes],
     }
     passed = validation.passed if validation.judged or validation.unreliable else None
     lead = [against, caution or (SAME_EQUATIONS if simulated else "")]
@@ -210,12 +209,12 @@ def _signals(validation: Validation) -> TextTable:
     return TextTable(head, rows, left=(0, 1))
 
 
-def _components(components: Sequence[Mapping[str, str]]) -> TextTable:
+def _components(components: Sequence[Mapping[str, str]]) -> Table:
     """The FMUs of a run."""
     keys = ("name", "file", "version", "fmi", "tool", "text", "guid", "sha256")
     rows = [[c.get(key) or "" for key in keys] for c in components]
     head = ["component", "file", "version", "FMI", "tool", "text", "GUID", "SHA-256 of the file"]
-    return TextTable(head, rows, left=range(len(head)))
+    return Table(TextTable(head, rows, left=range(len(head))))
 
 
 def _parameters(parameters: Sequence[Mapping[str, Any]]) -> TextTable:

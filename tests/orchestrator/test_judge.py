@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from kit.mistakes import problem
 
-from orchestrator import Result, System, Trace, assemble, load, run
+from orchestrator import System, Trace, assemble, load, run
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
-from orchestrator.engine.result import BondEnergy, Card
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec
-from orchestrator.results.validate_system import card, describe, judge, parameters
+from orchestrator.results.validate_system import describe, judge, parameters
 
 PROVENANCE = '[parameters.factor]\nvalue = 1.0\nunit = "1"\nsource = "assumed"\nnote = "a free choice"\n'
 
@@ -97,21 +96,6 @@ def test_the_machine_is_described_by_its_files(system):
         assert told["version"] == version("harvester-cosim")
         assert told["tool"].startswith("harvester-cosim ")
         assert told["text"]
-
-
-def test_the_card_in_the_report(oscillator):
-    """Times and steps, and the energies of the power bonds by name: 2 s took 0.8 s, and lost 3 J of 40 J."""
-    bonds = (BondEnergy("boom", -3.0, 3.0, 40.0), BondEnergy("idle", 0.0, 0.0, 0.0))
-    known = Card("jacobi", 1e-2, 1e-2, 200, 2.0, 0.8, bonds)
-    assert card(Result(oscillator, Trace(np.zeros(1), {}), known)) == {
-        "wall time [s]": 0.8,
-        "real-time factor": 2.5,
-        "steps": 200,
-        "energy residual of the power bonds, share of the exchanged energy": {
-            "boom": "-7.5e-02 (-3 J of 40 J)",
-            "idle": "no exchange",
-        },
-    }
 
 
 def test_a_layout_gives_title_and_figures(fmus, ramp, reference, tmp_path):

@@ -21,6 +21,7 @@ from validation.conftest import Edit
 from fmus.machine.build import data
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
+from orchestrator.engine.result import Card
 from orchestrator.pages import plotting
 from orchestrator.pages.figures import VENDOR
 from orchestrator.pages.plotting import decimate, draw, png, svg
@@ -70,16 +71,14 @@ def contents(outcome: Validation, trace: Trace) -> dict[str, Any]:
         "validation": outcome,
         "figures": (FigureSpec("Shaft", rows), FigureSpec("Pump", pressure, caption="Taken at the <port>.")),
         "trace": trace,
-        "facts": {"system": "shaft.ssp", "communication step [s]": 1e-3, "stopped early": False},
-        "components": (pump,),
-        "parameters": (volume | {"source": "assumed", "changed": True},),
-        "card": {
-            "real-time factor": np.float64(31.25),
-            "energy residual [J]": {"shaft": 1e-3},
-            "order": None,
+        "run": {
+            "facts": {"system": "shaft.ssp", "share": np.float64(0.5), "of": {"stopped": False, "at": None}},
+            "components": (pump,),
+            "parameters": (volume | {"source": "assumed", "changed": True},),
+            "accuracy": Card("jacobi", 1e-2, 1e-2, 200, 2.0, 0.8),
+            "warnings": ("pump: pressure above 300 bar at 1.2 s",),
         },
         "machine": Markup("<p>machine</p>"),
-        "warnings": ("pump: pressure above 300 bar at 1.2 s",),
     }
 
 
@@ -119,7 +118,7 @@ def test_shows_what_ran_and_how_well(page: str, outcome: Validation) -> None:
     """Signals, units, limits, facts, FMUs, parameters, card and warnings are all in the text."""
     expected = [row.signal for row in outcome.rows]
     expected += ["Shaft &amp; pump", "✓ pass", "max. error ≤ 2 bar", "NRMSE ≤ 1 %", "Shaft &lt;angle&gt;"]
-    expected += ["shaft.ssp", "{1-2-3}", "Dead volume", "1 changed for this run", "31.25", "0.001"]
+    expected += ["shaft.ssp", "{1-2-3}", "Dead volume", "1 changed for this run", "2.5 times real time"]
     expected += ["pressure above 300 bar", "Taken at the &lt;port&gt;.", "compared at the 201 samples"]
     text = page.replace("<wbr>", "").lower()
     assert [one for one in expected if one.lower() not in text] == []
@@ -152,7 +151,8 @@ def test_json_has_the_same_numbers(files: Written, contents: dict[str, Any]) -> 
         for name in ("rmse", "nrmse", "fit", "maximum_error", "vaf"):
             assert stored["metrics"][name] == getattr(row.metrics, name)
     assert data["signals"][1]["tolerance"]["limit"] == 2e5
-    assert data["accuracy"] == contents["card"]  # a number of NumPy is one
+    assert data["facts"] == contents["run"]["facts"]  # a number of NumPy is one
+    assert data["accuracy"]["steps"] == 200
     assert data["parameters"][0]["value"] == 1.5e-3
     assert data["reference"]["file"] == "ref.csv"
 
@@ -172,7 +172,9 @@ def test_a_simulated_reference_is_told_as_one(page: str, outcome: Validation, fi
     line = "Reference: a simulation of the same equations."
     assert line not in page  # a measurement
     simulated = replace(outcome, about={**outcome.about, "kind": "simulation"})
-    other, data = files(validation=simulated, notes=("no --scenario given",), figures=())
+    other, data = files(
+        validation=simulated, run={"notes": ("no --scenario given",), "warnings": ("hot",)}, figures=()
+    )
     assert line in other
     assert "No --scenario given." in other
     assert other.index('id="motion"') < other.index("Warnings of the run")
