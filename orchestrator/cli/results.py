@@ -165,18 +165,15 @@ def energy(
     out     File of the picture (.png, .svg, .pdf); default: build/energy.png.
     json    Print the energies [J] as JSON, without a picture.
     """
-    from json import dumps
-
-    from orchestrator.results.energy import draw, energy, table
+    from orchestrator.results.energy import draw, energy, report
 
     _, chosen = _runs(runs, out)
     found = {r.label: energy(r.trace.window(start, stop), r.file or r.label) for r in chosen}
-    if json:
-        print(dumps({label: e.data() for label, e in found.items()}, indent=1))
-        return
     unreliable = [f"{r.label}: {told}" for r in chosen if r.metadata for told in r.metadata.unreliable]
-    print("\n".join([*unreliable, *table(found).lines()]))
-    print(f"\npicture: {_write(draw(found), out or BUILD / 'energy.png')}")
+    shown = report(found, unreliable)
+    print(shown.json() if json else shown.text())
+    if not json:
+        print(f"\npicture: {_write(draw(found), out or BUILD / 'energy.png')}")
 
 
 def _runs(files: list[Path] | None, out: Path | None) -> tuple[list[Path], list[Run]]:

@@ -114,11 +114,8 @@ def validation_report(
         Section("Warnings of the run", [Text(run["warnings"], "warn")]),
         *(Section(name, [figure]) for name, figure in drawn),
         Section("Signals", [Table(_signals(validation)), Text([METRICS], "soft")], folded=True),
-        Section(
-            "Run",
-            [Facts(run["facts"]), Text(run["notes"], "soft"), card, _components(run["components"])],
-            True,
-        ),
+        Section("Run", [Facts(run["facts"]), card, Text(run["notes"], "soft")], folded=True),
+        Section("FMUs", [_components(run["components"])], folded=True),
         Section(of_parameters, [Table(_parameters(run["parameters"]))], True),
         Section("Reference", [Facts(about), Text(validation.notes, "soft")], folded=True),
     ]
