@@ -14,7 +14,7 @@ from typing import Any
 from orchestrator.drive.scene import Scene, Values, data
 
 STEPS = 33  # distinct colours; a colour is sent to the browser only when it changes
-UNKNOWN = "#8b9196"
+UNKNOWN, MARKED = "#8b9196", "#00b7ff"  # no pressure; a fault: light blue is none of the scale
 
 # matplotlib's "plasma" from 0.04 to 0.92, without an import that takes longer than the drawing
 SCALE: Sequence[str] = (
@@ -42,6 +42,29 @@ def scene(declared: Scene, values: Values) -> dict[str, Any]:
     grounds = {scheme: ground | colours for scheme, colours in SCHEMES.items()}
     shown = {"shade": SHADE, "ground": grounds, "level": declared.ground, "views": declared.views}
     return {"machine": data(declared, values) | place, **shown}
+
+
+def mark(shapes: Sequence[dict[str, Any]], declared: Scene, faults: Sequence[str]) -> None:
+    """Colour the shapes where faults are, by the first words of their names.
+
+    Of a fault of an angle or speed it is the body that the joint moves, else what shows the pressures of that
+    function, or one of them: a fault boom_head_leak is at the hose and chamber boom_head.
+    """
+    for name in faults:
+        words = set(name.split("_"))
+        bodies = {b for b, joint in declared.joints.items() if _begins(name, joint.signal)}
+        bodies = bodies if words & {"angle", "speed"} else set()
+        of_function = {channel for channel in declared.pressures if _begins(name, channel)}
+        channels = {c for c in of_function if set(c.split("_")) <= words} or of_function
+        for shape in shapes:
+            if shape["body"] in bodies or (not bodies and shape["channel"] in channels):
+                shape |= {"colour": MARKED, "channel": ""}
+
+
+def _begins(name: str, part: str) -> bool:
+    """Does a name begin with that of a part but for its last word?"""
+    function = part.rpartition("_")[0]
+    return bool(function) and name.startswith(f"{function}_")
 
 
 def trees() -> list[list[float]]:

@@ -13,7 +13,7 @@ import json
 import math
 import zlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -155,6 +155,7 @@ class TracePanel:
     remarks      (text, colour) on the right of the panel
     key_beside   legend on the right of the panel, not above it; pages have it above in any case
     heights      of panel and error strip, in units of `ROW_HEIGHT`
+    words        value -> word, in place of the labels of ticks on a page
     """
 
     unit: str
@@ -170,6 +171,7 @@ class TracePanel:
     heights: tuple[float, float] = (2.5, 1.0)
     areas: Sequence[TraceArea] = ()
     key_beside: bool = False
+    words: Mapping[float, str] = field(default_factory=dict)
 
     @property
     def heading(self) -> str:
@@ -304,6 +306,7 @@ def _spec(figure: TraceFigure) -> dict[str, Any]:
             "lines": [_line_spec(line, len(columns) + k, chart) for k, line in enumerate(lines)],
         }
         columns += values
+        entry |= {"words": list(chart.panel.words.items())} if chart.panel.words else {}
         if chart.strip:
             entry |= {"strip": 1, "bounds": [float(f"{b:.6g}") for b in sorted(chart.panel.bounds)]}
             entry |= {"whole": 1} if chart.panel.whole else {}

@@ -255,11 +255,11 @@ def _other_experiment(reference: Run, run: Run) -> str:
     if moved := [n for n in poses if n not in sources and abs(a[n][0] - b[n][0]) > OTHER_START]:
         differences.append(f"another start ({first_names(moved, 3)})")
     if abs(a.time[0] - b.time[0]) > OTHER_TIME * np.ptp(a.time):
-        differences.append(f"begins at {b.time[0]:g} s, not {a.time[0]:g} s")
+        differences.append(f"its beginning at {b.time[0]:g} s, not {a.time[0]:g} s")
     if abs(a.time[-1] - b.time[-1]) > OTHER_TIME * np.ptp(a.time):
-        differences.append(f"ends at {b.time[-1]:g} s, not {a.time[-1]:g} s")
-    other = f"{run.label} is another experiment than {reference.label}"
-    return f"{other}: {', '.join(differences)}" if differences else ""
+        differences.append(f"its end at {b.time[-1]:g} s, not {a.time[-1]:g} s")
+    other = f"another experiment than {reference.label}: {run.label} has"
+    return f"{other} {', '.join(differences)}" if differences else ""
 
 
 def _differ(a: Array, b: Array) -> bool:

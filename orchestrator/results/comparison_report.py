@@ -55,14 +55,15 @@ EQUAL = "equal"
 
 
 def drawn_signals(comparison: Comparison) -> list[str]:
-    """The signals of the figure: of each quantity those with the largest differences, in their order."""
+    """The signals of the figure: the worst one, then of each quantity those with the largest differences."""
     chosen = set(comparison.signals)
     rows = [row for v in comparison.against.values() for row in v.rows if row.signal in chosen]
     rows = _different(comparison) or rows
     groups = grouped(sorted(rows, key=lambda row: -row.metrics.maximum_error), lambda row: row.group)
     most = MOST_OF_QUANTITY if len(groups) > 1 else MOST_PANELS
     shown = {name for of in groups.values() for name in list(dict.fromkeys(r.signal for r in of))[:most]}
-    return [signal for signal in comparison.signals if signal in shown][:MOST_PANELS]
+    worst = [found[1].signal] if (found := _worst_of_all(comparison)) else []
+    return list(dict.fromkeys([*worst, *(n for n in comparison.signals if n in shown)]))[:MOST_PANELS]
 
 
 def _different(comparison: Comparison) -> list[ValidatedSignal]:
@@ -284,13 +285,19 @@ def report(comparison: Comparison) -> Report:
 
 def verdict(comparison: Comparison) -> str:
     """The signal with the largest NRMSE of all runs."""
-    quantities = [(label, q) for label in comparison.against for q in comparison.quantities()]
-    rows = [(label, row) for label, q in quantities if (row := comparison.worst(label, q))]
-    if not (rows := [(n, r) for n, r in rows if not comparison.equal(n, r)]):
+    if (found := _worst_of_all(comparison)) is None:
         return "no signal differs"
-    label, worst = max(rows, key=lambda pair: pair[1].metrics.nrmse or 0.0)
+    label, worst = found
     nrmse = percentage(worst.metrics.nrmse)
     return f"largest NRMSE: {worst.signal} of {label}, {nrmse}; at most {_difference(worst)}"
+
+
+def _worst_of_all(comparison: Comparison) -> tuple[str, ValidatedSignal] | None:
+    """Run and signal with the largest NRMSE; None if no signal differs."""
+    quantities = [(label, q) for label in comparison.against for q in comparison.quantities()]
+    rows = [(label, row) for label, q in quantities if (row := comparison.worst(label, q))]
+    differ = [(label, row) for label, row in rows if not comparison.equal(label, row)]
+    return max(differ, key=lambda pair: pair[1].metrics.nrmse or 0.0, default=None)
 
 
 def _runs(comparison: Comparison) -> TextTable:

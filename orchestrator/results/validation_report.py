@@ -174,7 +174,7 @@ def _worst(validation: Validation, trace: Trace | None) -> list[Figure]:
             f"Uses {limit_share(row.limit_use)} of its limit. {NAMES[row.tolerance.metric]}: {limits}.{band}"
         )
     heading = f"Worst signal: {row.title}"
-    return [Figure(replace(figure, panels=[panel]), "Worst signal", typeset(caption), heading)]
+    return [Figure(replace(figure, panels=[panel]), row.title, typeset(caption), heading)]
 
 
 def _signals(validation: Validation) -> TextTable:
@@ -303,29 +303,31 @@ def _summary(validation: Validation) -> list[str]:
 
 
 def _numbers(validation: Validation) -> Table:
-    """The listed signals by group, unit and limit; those without limit are last."""
+    """The listed signals by group, unit and metric; those without limit are last."""
     listed = [row for row in validation.rows if row.listed]
     names, rows = short_names(row.signal for row in listed), list[list[str]]()
     for title, members in grouped(sorted(listed, key=lambda row: row.tolerance is None), _section).items():
         rows.append([title])
         for row in members:
             m, unit, mark = row.metrics, error_display_unit(row.unit), "!" if row.passed is False else " "
-            errors = unit.plain(m.maximum_error), unit.plain(m.rmse), percentage(m.nrmse)
-            passed = {True: "pass", False: "FAIL", None: NO_VALUE}[row.passed]
-            fits = percent(m.fit, m.rmse), percent(m.vaf, m.rmse)
-            rows.append([f"{mark} {names[row.signal]}", *errors, *fits, passed])
+            shares = percentage(m.nrmse), percent(m.fit, m.rmse), percent(m.vaf, m.rmse)
+            plain = [text.removesuffix(" %").replace("> ", ">") for text in shares]
+            used = NO_VALUE if row.passed is None else limit_share(row.limit_use)
+            used = f"FAIL {used}" if row.passed is False else used
+            cells = [unit.plain(m.maximum_error), unit.plain(m.rmse), *plain, used]
+            rows.append([f"{mark} {names[row.signal]}", *cells])
     others = [row.limit_use for row in validation.rows if not row.listed]
     below = [f"{len(others)} others: at most {limit_share(max(others))} of their limits"] if others else []
     below.append("NRMSE: over the range of the reference, or a given one")
-    head = ["", "max error", "RMSE", "NRMSE", "fit", "VAF", ""]
+    head = ["", "max error", "RMSE", "NRMSE %", "fit %", "VAF %", "of limit"]
     table = TextTable(head, rows, title=f"Compared with: {validation.title}")
     return Table(table, [*below, *validation.notes, *_remarks(validation)], only=TERMINAL)
 
 
 def _section(row: ValidatedSignal) -> str:
-    """Group, unit and limit of a signal."""
-    limit = limit_text(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
-    return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {limit}"
+    """Group, unit and judged metric of a signal."""
+    judged = NAMES[row.tolerance.metric] if row.tolerance else "not judged"
+    return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {judged}"
 
 
 def _remarks(validation: Validation) -> list[str]:

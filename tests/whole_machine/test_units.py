@@ -204,7 +204,7 @@ def test_another_experiment_is_told_before_the_tables(systems, experiments):
     """Other commands and another end; another mass alone is no other experiment."""
     lines = text(compare(experiments)).splitlines()
     commands = "boom_stick.boom_command, boom_stick.stick_command, swing.swing_command"
-    told = f"cycle is another experiment than boom: other commands ({commands}), ends at 2.7 s, not 2.2 s"
+    told = f"another experiment than boom: cycle has other commands ({commands}), its end at 2.7 s, not 2.2 s"
     assert lines[0] == f"warning: {told}"
     assert lines[1] == ""
     moved = run(systems[""], "boom_up", set={"manipulator.initial_swing_angle": 0.1}, stop=2.2, isolate=False)
