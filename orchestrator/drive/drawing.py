@@ -7,7 +7,6 @@ Its lightness is monotone, so it is readable with any colour blindness. Its pale
 is hard to see on light background.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -31,15 +30,12 @@ SCHEMES = {
 }
 SHADE = {"light": "#aab2a6", "dark": "#191e1b"}
 SUN = (4.0, -6.0, 12.0)  # direction of the sun
-GOLDEN = math.pi * (3 - math.sqrt(5))  # rad; the golden angle spreads points evenly
-TREES = 46
 
 
 def scene(declared: Scene, values: Values) -> dict[str, Any]:
     """Data of the machine, and of its surroundings in both colour schemes."""
     place = {"ground": declared.ground, "sun": SUN}
-    ground = {"trees": trees(), **place}
-    grounds = {scheme: ground | colours for scheme, colours in SCHEMES.items()}
+    grounds = {scheme: place | colours for scheme, colours in SCHEMES.items()}
     shown = {"shade": SHADE, "ground": grounds, "level": declared.ground, "views": declared.views}
     return {"machine": data(declared, values) | place, **shown}
 
@@ -65,14 +61,3 @@ def _begins(name: str, part: str) -> bool:
     """Does a name begin with that of a part but for its last word?"""
     function = part.rpartition("_")[0]
     return bool(function) and name.startswith(f"{function}_")
-
-
-def trees() -> list[list[float]]:
-    """Trees around the machine: x, y, height, radius [m], between 13 and 32 m away."""
-    rows = []
-    for k in range(TREES):
-        angle, away = k * GOLDEN, 13.0 + 19.0 * math.sqrt((k + 0.5) / TREES)
-        size = 0.75 + 0.5 * ((k * 7) % 11) / 10
-        x, y = away * math.cos(angle), away * math.sin(angle)
-        rows.append([round(v, 2) for v in (x, y, 7.5 * size, 1.5 * size)])
-    return rows

@@ -55,7 +55,7 @@ def validated() -> str:
     panels = PanelSpec("Angle", ("arm.angle",)), PanelSpec("Pressure", ("pump.pressure",), ("head",))
     spec = FigureSpec("Arm", panels)
     checked = validate(run(0.01), reference)
-    return validation_report("Arm", checked, (spec,), run(0.01), {"step [s]": 0.001}).html()
+    return validation_report("Arm", checked, (spec,), run(0.01), {"facts": {"step [s]": 0.001}}).html()
 
 
 def studied() -> str:

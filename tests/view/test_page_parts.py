@@ -98,8 +98,7 @@ def test_choice(fmu_dir: Path) -> None:
     """Poses and variants are those of the files; the valves are driven instead of the levers' program."""
     system = fmu_dir / "harvester.ssp"
     assert set(poses(system)) == {"close", "folded", "nominal", "raised", "reach"}
-    others = {name: name for name in ("detailed", "quasistatic", "compensated")}
-    assert variants(system)["swing"] == {"usual": "lumped (usual)", **others}
+    assert set(variants(system)["swing"]) >= {"usual", "lumped", "detailed", "quasistatic", "compensated"}
     assert "operator_input" not in variants(system)
     found = plan(MachineChoice(system)).setup
     levers = ["swing_command", "boom_command", "stick_command"]
