@@ -63,7 +63,7 @@ def write_limits() -> None:
     """Write the signals of META, after its head."""
     system = load(ROOT / "build" / "harvester.ssp")
     columns, result = column_of(system), run(system, record_step=RECORD_STEP)
-    rows = validate(result, unlimited(columns, result), rate=False).rows
+    rows = validate(result, unlimited(columns, result)).rows
     lines = [signal_line(row, columns[row.signal]) for row in rows]
     head, _, _ = META.read_text(encoding="utf-8").partition("\n[signals]\n")
     META.write_text("\n".join([head, "[signals]", *lines, ""]), encoding="utf-8", newline="\n")
@@ -196,7 +196,7 @@ def judged(system: System, **options: Any) -> Validation:
     """A run of the work cycle against the reference."""
     trace = run(system, options.pop("scenario", None), record_step=RECORD_STEP, **options).trace
     reference, trace = comparable(system, trace, read_recording(META), Layout())
-    return validate(trace, reference, rate=False)
+    return validate(trace, reference)
 
 
 # ---- tables
@@ -207,7 +207,7 @@ def main() -> None:
     system = load(ROOT / "build" / "harvester.ssp")
     right = {n: judged(load(ROOT / "build" / file), **options) for n, (file, options) in RIGHT.items()}
     trace, reference = run(system, record_step=RECORD_STEP).trace, read_recording(META)
-    planted = {n: validate(damaged(trace, d), reference, rate=False) for n, d in DAMAGES.items()}
+    planted = {n: validate(damaged(trace, d), reference) for n, d in DAMAGES.items()}
     planted |= {f"`{n}` 1 % too large": judged(system, set=wrong(system, n)) for n in PARAMETERS}
     fill("right machine", table("run", right))
     fill("planted errors", table("planted error", planted))

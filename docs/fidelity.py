@@ -52,7 +52,6 @@ from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS
 from orchestrator import load
 from orchestrator.pages.plotting import png
 from orchestrator.results.comparison import compare
-from orchestrator.results.comparison_report import draw
 
 HERE = Path(__file__).parent
 DOCUMENT, IMAGES = HERE / "fidelity.md", HERE / "images"
@@ -148,7 +147,7 @@ def costs(system: Path) -> None:
             fill(EXAMPLE / "README.md", "table", "\n".join(f"    {line}" for line in lines))
             traces = {run.label: run.trace for run in runs.runs if run.label not in OTHER_CIRCUITS}
             seen = compare(traces, runs.reference.label, SIGNALS, start=10.0, stop=20.0)
-            (IMAGES / "fidelity-example.png").write_bytes(png(draw(seen)))
+            (IMAGES / "fidelity-example.png").write_bytes(png(seen.plot()))
     fill(DOCUMENT, "costs", "\n".join(told))
     variants = {part: [v for v in family if v not in OTHER_CIRCUITS] for part, family in FAMILIES.items()}
     rows = list(combinations(load(system), variants, SPEEDS, step=1e-3, record_step=0.02))

@@ -16,7 +16,7 @@ from fmus.machine.parts import FAMILIES
 from orchestrator import Problem, compare, load, run, with_swaps
 from orchestrator.base.text import percentage
 from orchestrator.results.comparison import Comparison
-from orchestrator.results.comparison_report import write
+from orchestrator.results.comparison_report import report
 from orchestrator.studies.variant_costs import inside
 
 KINDS = ("speed", "angle", "pressure")  # joint speeds and angles [rad/s, rad], all pressures
@@ -63,14 +63,14 @@ def main() -> None:
     parser.add_argument("part", nargs="?", choices=FAMILIES, default="boom_stick")
     parser.add_argument("--build", type=Path, default=Path("build"), help="where `harvester build` built")
     parser.add_argument("--stop", type=float, default=42.0, help="[s]")
-    parser.add_argument("--out", type=Path, default=Path("build/fidelity"), help="folder of the picture")
+    parser.add_argument("--out", type=Path, default=Path("build/fidelity"), help="folder of the page")
     chosen = parser.parse_args()
     system = chosen.build / "harvester.ssp"
     if not system.exists():
         sys.exit(f"{system} is not there: run `harvester build` first")
     found = simulate(system, chosen.part, chosen.stop)
     print(table(chosen.part, found, costs(system, chosen.part, chosen.stop)))
-    print(*write(found, chosen.out))
+    print(*report(found).write(chosen.out / "comparison.html"))
 
 
 if __name__ == "__main__":

@@ -59,7 +59,7 @@ def simulate(system: Path, manoeuvre: Path, step: float, master: str) -> Outcome
     result = run(system, scenario, master=master, step=step)
     truth = solve(scenario, result.trace.time)
     reference = read_recording(REFERENCE) if manoeuvre.resolve() == M1 else None
-    validation = validate(result.trace, reference, rate=False) if reference else None
+    validation = validate(result.trace, reference) if reference else None
     return Outcome(result, truth, reference, validation)
 
 

@@ -34,8 +34,9 @@ from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.run import attempt
 from orchestrator.fmi.description import Value
 from orchestrator.pages.figures import PALETTE
-from orchestrator.pages.html_page import write_json
+from orchestrator.pages.html_page import write_text
 from orchestrator.pages.plotting import legend, new_figure, png, style_axes
+from orchestrator.results.report import Report
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful_starts, refuse_long
@@ -347,13 +348,19 @@ def track(
     figure, json = out / "tracking.png", out / "tracking.json"
     report(text(runs))
     write_whole(figure, png(draw(runs, names.radius)))
-    write_json(json, [as_dict(r) for r in runs])
-    report(f"{figure} {json}")
     beyond = [] if limit is None else [r for r in runs if r.feedback and not r.largest <= limit]
+    failed = bool(beyond) or any(r.failure for r in runs)
+    worst = max((r for r in runs if r.feedback), key=lambda r: r.largest)
+    told = [f"{r.path}, {r.machine}: {r.failure}" for r in runs if r.failure]
+    told = told or [f"largest error: {MM * worst.largest:.1f} mm, {worst.path}, {worst.machine}"]
+    passed = False if failed else None if limit is None else True
+    found = Report("Tracking", told[0], [], {"runs": [as_dict(r) for r in runs]}, passed)
+    write_text(json, found.json() + "\n")
+    report(f"{figure} {json}")
     for r in beyond:
         got = f"got {MM * r.largest:.1f} mm"
         report(f"{r.path}, {r.machine}: expected at most {MM * (limit or 0):g} mm, {got}")
-    return not beyond and not any(r.failure for r in runs)
+    return not failed
 
 
 def _shaped(

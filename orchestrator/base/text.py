@@ -173,10 +173,12 @@ class TextTable:
     strong: Collection[str] = ()
 
     def lines(self) -> list[str]:
-        """The lines of the table as plain text."""
-        rows = [self.head, *self.rows]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return ["  ".join(self._padded(row, widths)).rstrip() for row in rows]
+        """The lines of the table as plain text; a row of one cell is the heading of a group."""
+        rows, columns = [self.head, *self.rows], len(self.head)
+        full = zip(*(row for row in rows if len(row) == columns), strict=True)
+        widths = [max(map(len, column)) for column in full]
+        padded = (row if len(row) < columns else self._padded(row, widths) for row in rows)
+        return ["  ".join(cells).rstrip() for cells in padded]
 
     def _padded(self, row: Sequence[str], widths: Sequence[int]) -> Iterable[str]:
         for i, (cell, width) in enumerate(zip(row, widths, strict=True)):

@@ -37,7 +37,7 @@ def diagnose(
     """
     from orchestrator.base.files import make_folder, require, write_whole
     from orchestrator.results.diagnosis import diagnose as diagnosed
-    from orchestrator.results.diagnosis import learned, learned_values
+    from orchestrator.results.diagnosis import learned, learned_values, picture
 
     if fmu == DEFAULT and not fmu.exists():
         raise Problem(
@@ -51,7 +51,8 @@ def diagnose(
         lines = [*found.remarks, found.shortness] if found.shortness else found.remarks
         print(*lines, f"{learn}: {len(learned_values(found))} values of the healthy machine", sep="\n")
         return 0
-    print(found.text())
-    page, numbers = found.report().write(out / "diagnosis.html")
+    report = found.report(picture(found, fmu))
+    print(report.text(verdict=False))
+    page, numbers = report.write(out / "diagnosis.html")
     print(f"Report: {page}, {numbers}")
     return 1 if found.broken else 0 if found.is_known else NOT_KNOWN

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
-from json import dumps
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from orchestrator.base.errors import Problem
@@ -42,7 +41,7 @@ def variants(
         if system:
             raise Problem(f"variants {system}: a system is only read with --cost")
         if json:
-            print(dumps(variant_rows({}), indent=1))
+            _print_json("variants", variant_rows({}))
             return True
         print("\n".join(variant_lines({})))
         print("To measure the cost of each variant on this computer: harvester variants --cost")
@@ -51,7 +50,10 @@ def variants(
     from orchestrator.studies.variant_costs import costs
 
     measured = costs(require_system(system_file(system)), variant_names())
-    print(dumps(variant_rows(measured), indent=1) if json else "\n".join(variant_lines(measured)))
+    if json:
+        _print_json("variants", variant_rows(measured))
+    else:
+        print("\n".join(variant_lines(measured)))
     return True
 
 
@@ -75,7 +77,10 @@ def parameters(
     from fmus.machine.tables import parameter_rows, parameter_text
 
     chosen = subsystem, source, BUILD
-    print(dumps(parameter_rows(*chosen), indent=1) if json else parameter_text(*chosen))
+    if json:
+        _print_json("parameters", parameter_rows(*chosen))
+    else:
+        print(parameter_text(*chosen))
 
 
 @command
@@ -96,7 +101,18 @@ def signals(
     if kind not in (None, *KINDS):
         raise Problem(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}")
     found = configured(require_system(system_file(system)), swap=swap)
-    print(dumps([*rows(found, kind)], indent=1) if json else "\n".join(lines(found, kind)))
+    if json:
+        _print_json("signals", rows(found, kind))
+    else:
+        print("\n".join(lines(found, kind)))
+
+
+def _print_json(what: str, rows: Iterable[Mapping[str, object]]) -> None:
+    """Print rows in the shape of all reports."""
+    from orchestrator.results.report import Report
+
+    found = list(rows)
+    print(Report(what.capitalize(), f"{len(found)} {what}", [], {what: found}).json())
 
 
 def rows(system: FmuSystem, kind: str | None) -> Iterator[dict[str, str | None]]:

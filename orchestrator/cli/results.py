@@ -85,7 +85,7 @@ def compare(
 ) -> None:
     """Compare traces of runs.
 
-    Prints the difference of each signal and the cost of each run, and draws the signals.
+    Prints the difference of each signal and the cost of each run, and draws the signals on a page.
 
     traces    Two or more traces (.csv, .parquet, .mat, .mf4, .tdms).
     against   Trace to compare with; default: the first TRACE.
@@ -93,17 +93,17 @@ def compare(
               pressures and angles. The summary covers all signals.
     start     Start of the time window [s]; default: start of the overlap.
     stop      End of the time window [s]; default: end of the overlap.
-    out       Folder of comparison.html, .png and .json.
+    out       Folder of comparison.html and .json.
     """
     from orchestrator.base.files import make_folder
     from orchestrator.results.comparison import compare as compare_traces
-    from orchestrator.results.comparison_report import report, write
+    from orchestrator.results.comparison_report import report
 
     comparison = compare_traces(traces, against=against, signals=signals or (), start=start, stop=stop)
     make_folder(out)
-    made = report(comparison)
-    page, picture, numbers = write(comparison, out, made)
-    print(f"{made.text()}\n\npage: {page}\npicture: {picture}\nnumbers: {numbers}")
+    found = report(comparison)
+    page, numbers = found.write(out / "comparison.html")
+    print(f"{found.text()}\n\npage: {page}\nnumbers: {numbers}")
 
 
 @command
@@ -124,23 +124,27 @@ def plot(
               six signals of each of four quantities.
     start     Start of the time window [s]; default: all.
     stop      End of the time window [s]; default: all.
-    out       File of the picture (.png, .svg, .pdf); default: a window, or build/plot.png without a display.
+    out       File of a picture (.png, .svg, .pdf); default: a page, build/plot.html, with zoom and values.
     """
-    from orchestrator.pages.plotting import show
+    from orchestrator.pages import html_page
+    from orchestrator.pages.plotting import draw
+    from orchestrator.results.report import Figure, Report
 
     chosen, (first, *others) = _runs(files, out)
     title = ", ".join(run.label for run in (first, *others))
     names = first.trace.window(start, stop).matching(signals or ())
     beside = {run.label: run.trace for run in others}
-    figure = first.trace.plot(
+    figure = first.trace.figure(
         *(signals or ()), title=title, start=start, stop=stop, others=beside, label=first.label
     )
     more = "" if signals else "; choose others with --signals PATTERN"
-    print(f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}{more}")
-    if out is None and show(figure, title):
-        return
-    picture = _write(figure, out or BUILD / "plot.png")
-    print(f"{'' if out else 'no display for a window; '}picture: {picture}")
+    told = f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}"
+    print(f"{told}{more}")
+    if out is None:
+        html_page.write_text(BUILD / "plot.html", Report(title, told, [Figure(figure, title)]).html())
+        print(f"page: {BUILD / 'plot.html'}")
+    else:
+        print(f"picture: {_write(draw(figure), out)}")
 
 
 @command
@@ -161,18 +165,15 @@ def energy(
     out     File of the picture (.png, .svg, .pdf); default: build/energy.png.
     json    Print the energies [J] as JSON, without a picture.
     """
-    from json import dumps
-
-    from orchestrator.results.energy import draw, energy, table
+    from orchestrator.results.energy import draw, energy, report
 
     _, chosen = _runs(runs, out)
     found = {r.label: energy(r.trace.window(start, stop), r.file or r.label) for r in chosen}
-    if json:
-        print(dumps({label: e.data() for label, e in found.items()}, indent=1))
-        return
     unreliable = [f"{r.label}: {told}" for r in chosen if r.metadata for told in r.metadata.unreliable]
-    print("\n".join([*unreliable, *table(found).lines()]))
-    print(f"\npicture: {_write(draw(found), out or BUILD / 'energy.png')}")
+    shown = report(found, unreliable)
+    print(shown.json() if json else shown.text())
+    if not json:
+        print(f"\npicture: {_write(draw(found), out or BUILD / 'energy.png')}")
 
 
 def _runs(files: list[Path] | None, out: Path | None) -> tuple[list[Path], list[Run]]:

@@ -24,12 +24,12 @@ from orchestrator.data.table import TextFormat
 
 # `maximum` and `rmse` are in the unit of the signal, `fit` and `vaf` in percent, the others are
 # dimensionless. orchestrator/results/metrics.py contains the formulas.
-Metric = Literal["nrmse", "rmse", "maximum", "maximum_relative", "fit", "vaf", "iso"]
+Metric = Literal["nrmse", "rmse", "maximum", "maximum_relative", "fit", "vaf"]
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """A limit on a metric: upper limit for errors, lower limit for fit, VAF and ISO rating."""
+    """A limit on a metric: upper limit for errors, lower limit for fit and VAF."""
 
     metric: Metric
     limit: Annotated[float, POSITIVE]
@@ -37,7 +37,7 @@ class Tolerance:
     @property
     def upper(self) -> bool:
         """True for an upper limit, False for a lower limit."""
-        return self.metric not in ("fit", "vaf", "iso")
+        return self.metric not in ("fit", "vaf")
 
     @property
     def in_unit(self) -> bool:
@@ -54,8 +54,7 @@ class Tolerance:
             return float("inf")
         if self.upper:
             return value / self.limit
-        best = 1.0 if self.metric == "iso" else 100.0
-        return (best - value) / (best - self.limit) if best > self.limit else float(value < self.limit)
+        return (100 - value) / (100 - self.limit) if self.limit < 100 else float(value < self.limit)
 
     def holds(self, value: float | None) -> bool:
         """True if a value of the metric is within the limit; False for None, an undefined value."""

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+    from orchestrator.pages.figures import TraceFigure
+
 TIME = "time"
 METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 JUMP = 1e-6  # s, in which signals go from one row to the next one with the same time
@@ -175,7 +177,16 @@ class Trace(Mapping[str, Array]):
         times = np.atleast_1d(np.asarray(time, dtype=np.float64))
         return self._with({n: np.interp(times, self.time, v) for n, v in self.signals.items()}, times)
 
-    def plot(
+    def plot(self, *patterns: str | Sequence[str], **options: Any) -> Figure:
+        """Draw signals over time as a matplotlib figure, one panel per unit, without showing or saving it.
+
+        The arguments are those of `figure`.
+        """
+        from orchestrator.pages.plotting import draw
+
+        return draw(self.figure(*patterns, **options))
+
+    def figure(
         self,
         *patterns: str | Sequence[str],
         title: str = "",
@@ -184,8 +195,8 @@ class Trace(Mapping[str, Array]):
         others: Mapping[str, Any] | None = None,
         label: str = "",
         band: Trace | None = None,
-    ) -> Figure:
-        """Draw signals over time as a matplotlib figure, one panel per unit, without showing or saving it.
+    ) -> TraceFigure:
+        """Signals over time, one panel per unit, for a page or a picture.
 
         patterns      names of signals with or without component, patterns such as `boom_*_pressure` or, with
                       a dot for component.variable, `swing.*`, or lists of them; default: up to six signals
@@ -194,7 +205,7 @@ class Trace(Mapping[str, Array]):
         others        label -> further traces or results, with other line styles; `label`: that of this one
         band          half width of a band around signals of this trace, in their units
         """
-        from orchestrator.pages.plotting import draw, shown_at_end, signal_figure
+        from orchestrator.pages.signal_figure import signal_figure
 
         flat = [name for p in patterns for name in ([p] if isinstance(p, str) else p)]
         runs = {label or "1": self} | {n: getattr(t, "trace", t) for n, t in (others or {}).items()}
@@ -208,7 +219,7 @@ class Trace(Mapping[str, Array]):
             for run, trace in windows.items()
         }
         around = band.at(windows[label or "1"].time).signals if band else {}
-        return shown_at_end(draw(signal_figure(curves, units, title, below, around)))
+        return signal_figure(curves, units, title, below, around)
 
     def matching(self, patterns: Sequence[str] = ()) -> list[str]:
         """The signals that names and patterns select, see `base.signals`; default: those of a figure.
@@ -216,7 +227,7 @@ class Trace(Mapping[str, Array]):
         Raises Problem if a pattern names none.
         """
         if not patterns:
-            from orchestrator.pages.plotting import default_signals  # loads matplotlib, which takes a second
+            from orchestrator.pages.signal_figure import default_signals
 
             return default_signals(self.signals, self.units)
         names: dict[str, None] = {}

@@ -7,14 +7,13 @@ Its lightness is monotone, so it is readable with any colour blindness. Its pale
 is hard to see on light background.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 from orchestrator.drive.scene import Scene, Values, data
 
 STEPS = 33  # distinct colours; a colour is sent to the browser only when it changes
-UNKNOWN = "#8b9196"
+UNKNOWN, MARKED = "#8b9196", "#00b7ff"  # no pressure; a fault: light blue is none of the scale
 
 # matplotlib's "plasma" from 0.04 to 0.92, without an import that takes longer than the drawing
 SCALE: Sequence[str] = (
@@ -31,25 +30,34 @@ SCHEMES = {
 }
 SHADE = {"light": "#aab2a6", "dark": "#191e1b"}
 SUN = (4.0, -6.0, 12.0)  # direction of the sun
-GOLDEN = math.pi * (3 - math.sqrt(5))  # rad; the golden angle spreads points evenly
-TREES = 46
 
 
 def scene(declared: Scene, values: Values) -> dict[str, Any]:
     """Data of the machine, and of its surroundings in both colour schemes."""
     place = {"ground": declared.ground, "sun": SUN}
-    ground = {"trees": trees(), **place}
-    grounds = {scheme: ground | colours for scheme, colours in SCHEMES.items()}
+    grounds = {scheme: place | colours for scheme, colours in SCHEMES.items()}
     shown = {"shade": SHADE, "ground": grounds, "level": declared.ground, "views": declared.views}
     return {"machine": data(declared, values) | place, **shown}
 
 
-def trees() -> list[list[float]]:
-    """Trees around the machine: x, y, height, radius [m], between 13 and 32 m away."""
-    rows = []
-    for k in range(TREES):
-        angle, away = k * GOLDEN, 13.0 + 19.0 * math.sqrt((k + 0.5) / TREES)
-        size = 0.75 + 0.5 * ((k * 7) % 11) / 10
-        x, y = away * math.cos(angle), away * math.sin(angle)
-        rows.append([round(v, 2) for v in (x, y, 7.5 * size, 1.5 * size)])
-    return rows
+def mark(shapes: Sequence[dict[str, Any]], declared: Scene, faults: Sequence[str]) -> None:
+    """Colour the shapes where faults are, by the first words of their names.
+
+    Of a fault of an angle or speed it is the body that the joint moves, else what shows the pressures of that
+    function, or one of them: a fault boom_head_leak is at the hose and chamber boom_head.
+    """
+    for name in faults:
+        words = set(name.split("_"))
+        bodies = {b for b, joint in declared.joints.items() if _begins(name, joint.signal)}
+        bodies = bodies if words & {"angle", "speed"} else set()
+        of_function = {channel for channel in declared.pressures if _begins(name, channel)}
+        channels = {c for c in of_function if set(c.split("_")) <= words} or of_function
+        for shape in shapes:
+            if shape["body"] in bodies or (not bodies and shape["channel"] in channels):
+                shape |= {"colour": MARKED, "channel": ""}
+
+
+def _begins(name: str, part: str) -> bool:
+    """Does a name begin with that of a part but for its last word?"""
+    function = part.rpartition("_")[0]
+    return bool(function) and name.startswith(f"{function}_")

@@ -27,7 +27,7 @@ of each frame, which the page can save, gives the same motion with `harvester ru
 import base64
 import json
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -87,15 +87,20 @@ def find_fmu(system: Path) -> Path | None:
 
 
 def fragment(
-    system: Path, replayed: Replayed | None = None, autostart: bool = False, shown: System | None = None
+    system: Path,
+    replayed: Replayed | None = None,
+    autostart: bool = False,
+    shown: System | None = None,
+    faults: Sequence[str] = (),
 ) -> Markup:
     """The section of a system whose file describes a scene; empty if there is nothing to drive or to replay.
 
     replayed    shown first; left out if it has no angle of a joint
     autostart   the machine moves when it comes into sight, unless the visitor prefers reduced motion
     shown       the system of the replayed run; default: that of the file
+    faults      names of findings, whose parts are marked; then the machine only replays
     """
-    loaded, fmu = shown or load(system), find_fmu(system)
+    loaded, fmu = shown or load(system), None if faults else find_fmu(system)
     driven = load(fmu) if fmu is not None else None
     description = view_description(loaded)
     if description.scene is not None and replayed is not None:
@@ -105,6 +110,7 @@ def fragment(
         return Markup()
     data = page_data(description, parameters(description.scene, loaded))
     data |= {"autostart": autostart, "title": loaded.name}
+    drawing.mark(data["scene"]["machine"]["shapes"], description.scene, faults)
     parts = {"scripts": json.dumps(scripts()).encode()}
     if fmu is not None and driven is not None:
         data |= {"fmu": {"file": fmu.name} | _fmu(view_description(driven), driven, loaded)}

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, write_whole
-from orchestrator.base.options import Seconds
 from orchestrator.base.signals import CONSTANT, CONSTANT_OF_NOMINAL, largest, rms
 from orchestrator.base.text import TextTable, first_names, grouped
 from orchestrator.data.table import SUFFIXES, Array
@@ -154,21 +153,9 @@ class Result(Mapping[str, NDArray[np.float64]]):
         """As `Trace.to_xarray`: a dataset of the signals with their units."""
         return self.trace.to_xarray()
 
-    def plot(
-        self,
-        *patterns: str | Sequence[str],
-        title: str = "",
-        start: Seconds = None,
-        stop: Seconds = None,
-        others: Mapping[str, Trace | Result] | None = None,
-        label: str = "",
-        band: Trace | None = None,
-    ) -> Figure:
-        """Recorded signals over time as a matplotlib figure, with their band; arguments of `Trace.plot`."""
-        title, band = title or self.system.name, band or self.band
-        return self.trace.plot(
-            *patterns, title=title, start=start, stop=stop, others=others, label=label, band=band
-        )
+    def plot(self, *patterns: str | Sequence[str], **options: Any) -> Figure:
+        """Recorded signals over time as a matplotlib figure, with their band; arguments of `Trace.figure`."""
+        return self.trace.plot(*patterns, **{"title": self.system.name, "band": self.band, **options})
 
     @property
     def band(self) -> Trace | None:

@@ -14,7 +14,7 @@ import json
 import math
 import zlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +159,7 @@ class TracePanel:
     key_beside   legend on the right of the panel, not above it; pages have it above in any case
     heights      of panel and error strip, in units of `ROW_HEIGHT`
     log          logarithmic values, of a figure with an axis
+    words        value -> word, in place of the labels of ticks on a page
     """
 
     unit: str
@@ -175,6 +176,7 @@ class TracePanel:
     areas: Sequence[TraceArea] = ()
     key_beside: bool = False
     log: bool = False
+    words: Mapping[float, str] = field(default_factory=dict)
 
     @property
     def heading(self) -> str:
@@ -320,6 +322,7 @@ def _spec(figure: TraceFigure) -> dict[str, Any]:
             entry["time"] = at
             entry["lines"] = [_line_spec(line, len(columns) + k, chart) for k, line in enumerate(lines)]
             columns += values
+        entry |= {"words": list(chart.panel.words.items())} if chart.panel.words else {}
         if chart.strip:
             entry |= {"strip": 1, "bounds": [float(f"{b:.6g}") for b in sorted(chart.panel.bounds)]}
             entry |= {"whole": 1} if chart.panel.whole else {}

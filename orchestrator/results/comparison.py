@@ -13,7 +13,7 @@ import numpy as np
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.signals import selected, span
-from orchestrator.base.text import brief, first_names, percentage
+from orchestrator.base.text import brief, first_names
 from orchestrator.base.units import factor_and_offset, quantity
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
@@ -133,30 +133,22 @@ class Comparison:
 
     def plot(self, *patterns: str) -> Figure:
         """The signals that differ most, or those of patterns, in all runs, and below each its differences."""
-        from orchestrator.pages.plotting import shown_at_end
-        from orchestrator.results.comparison_report import draw
+        from orchestrator.pages.plotting import draw
+        from orchestrator.results.comparison_report import traces
 
-        return shown_at_end(draw(self, self.reference.trace.matching(patterns) if patterns else None))
+        names = self.reference.trace.matching(patterns) if patterns else None
+        return draw(traces(self, names))
 
     def _repr_html_(self) -> str:
         from orchestrator.results.comparison_report import worst_tables
 
         return "".join(f"<div>{table.html()}</div>" for table in worst_tables(self))
 
-    def text(self) -> str:
-        """The largest differences of each run, in a few lines."""
-        start, stop = self.window
-        lines = [
-            *self.unreliable,
-            f"Comparison with {self.reference.label}, {start:g} to {stop:g} s; largest NRMSE:",
-        ]
-        for label in list(self.against)[:4]:
-            rows = {q: row for q in self.quantities() if (row := self.worst(label, q))}
-            worst = sorted(rows.values(), key=lambda row: -(row.metrics.nrmse or 0.0))[:3]
-            lines.append(f"{label}: {', '.join(f'{r.signal} {percentage(r.metrics.nrmse)}' for r in worst)}")
-        return "\n".join(lines)
+    def __repr__(self) -> str:
+        from orchestrator.results.comparison_report import verdict
 
-    __repr__ = text
+        (start, stop), told = self.window, [*self.unreliable, verdict(self)]
+        return "\n".join([f"Comparison with {self.reference.label}, {start:g} to {stop:g} s", *told])
 
     @property
     def window(self) -> tuple[float, float]:
@@ -263,11 +255,11 @@ def _other_experiment(reference: Run, run: Run) -> str:
     if moved := [n for n in poses if n not in sources and abs(a[n][0] - b[n][0]) > OTHER_START]:
         differences.append(f"another start ({first_names(moved, 3)})")
     if abs(a.time[0] - b.time[0]) > OTHER_TIME * np.ptp(a.time):
-        differences.append(f"begins at {b.time[0]:g} s, not {a.time[0]:g} s")
+        differences.append(f"its beginning at {b.time[0]:g} s, not {a.time[0]:g} s")
     if abs(a.time[-1] - b.time[-1]) > OTHER_TIME * np.ptp(a.time):
-        differences.append(f"ends at {b.time[-1]:g} s, not {a.time[-1]:g} s")
-    other = f"{run.label} is another experiment than {reference.label}"
-    return f"{other}: {', '.join(differences)}" if differences else ""
+        differences.append(f"its end at {b.time[-1]:g} s, not {a.time[-1]:g} s")
+    other = f"another experiment than {reference.label}: {run.label} has"
+    return f"{other} {', '.join(differences)}" if differences else ""
 
 
 def _differ(a: Array, b: Array) -> bool:
@@ -328,7 +320,7 @@ def _moving(row: ValidatedSignal, least: float) -> ValidatedSignal | None:
 
 def _validate(recording: Recording, run: Run) -> Validation:
     try:
-        return validate(run.trace, recording, rate=False)
+        return validate(run.trace, recording)
     except Problem as problem:
         raise Problem(f"compare {run.label} with {problem}") from None
 

@@ -1,4 +1,4 @@
-"""Report of a comparison of runs: text, comparison.html with plots, comparison.png and comparison.json.
+"""Report of a comparison of runs.
 
 The figure shows each signal of all runs, and below it the differences from the reference.
 """
@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 from markupsafe import Markup
 
-from orchestrator.base.files import write_whole
 from orchestrator.base.text import (
     NO_VALUE,
     TextTable,
@@ -43,10 +41,7 @@ from orchestrator.results.report import PAGE, TERMINAL, Figure, Part, Report, Se
 from orchestrator.results.validation import ValidatedSignal
 from orchestrator.ssp.provenance import value_text
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
-
-WIDTH = 100  # characters of a line in a terminal
+SIDE_BY_SIDE = 3  # runs in a table of signals
 MOST_PANELS = 6  # of a figure on one page
 MOST_OF_QUANTITY = 3  # panels
 MOST_VALUES = 15  # rows of parameters in which runs differ
@@ -57,54 +52,24 @@ WRITTEN = {
 }
 FLOORED = " *"  # after an NRMSE over the floor
 EQUAL = "equal"
-SAME_CURVE = 0.01  # relative to the range: curves that are closer cannot be distinguished in the figure
 
 
 def drawn_signals(comparison: Comparison) -> list[str]:
-    """The signals of the figure: of each quantity those with the largest differences, in their order."""
-    rows = _different(comparison) or _shown(comparison)
-    groups = grouped(rows, lambda row: row.group)
+    """The signals of the figure: the worst one, then of each quantity those with the largest differences."""
+    chosen = set(comparison.signals)
+    rows = [row for v in comparison.against.values() for row in v.rows if row.signal in chosen]
+    rows = _different(comparison) or rows
+    groups = grouped(sorted(rows, key=lambda row: -row.metrics.maximum_error), lambda row: row.group)
     most = MOST_OF_QUANTITY if len(groups) > 1 else MOST_PANELS
-    shown = {row.signal for rows in groups.values() for row in _distinct(rows, most)}
-    return [signal for signal in comparison.signals if signal in shown][:MOST_PANELS]
-
-
-def _shown(comparison: Comparison) -> list[ValidatedSignal]:
-    """The rows of the signals to show, of all runs."""
-    return [row for v in comparison.against.values() for row in v.rows if row.signal in comparison.signals]
+    shown = {name for of in groups.values() for name in list(dict.fromkeys(r.signal for r in of))[:most]}
+    worst = [found[1].signal] if (found := _worst_of_all(comparison)) else []
+    return list(dict.fromkeys([*worst, *(n for n in comparison.signals if n in shown)]))[:MOST_PANELS]
 
 
 def _different(comparison: Comparison) -> list[ValidatedSignal]:
-    """The same without those that are equal."""
-    runs = comparison.against
-    return [
-        r for n in runs for r in runs[n].rows if r.signal in comparison.signals and not comparison.equal(n, r)
-    ]
-
-
-def _distinct(rows: Sequence[ValidatedSignal], most: int) -> list[ValidatedSignal]:
-    """The rows with the largest differences, without those that look like an earlier one."""
-    distinct: list[ValidatedSignal] = []
-    for row in sorted(rows, key=lambda r: -r.metrics.maximum_error):
-        if len(distinct) < most and not any(_same_curve(row, other) for other in distinct):
-            distinct.append(row)
-    return distinct
-
-
-def _same_curve(row: ValidatedSignal, other: ValidatedSignal) -> bool:
-    """Whether the rows are of one signal, or of two signals with the same curves."""
-    if row.signal == other.signal or len(row.time) != len(other.time):
-        return row.signal == other.signal
-    pairs = (row.reference, other.reference), (row.simulation, other.simulation)
-    differences = [np.abs(a - b).max() for a, b in pairs]
-    return bool(max(differences) < SAME_CURVE * np.ptp(row.reference))
-
-
-def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Drawing:
-    """The figure, drawn by matplotlib; default signals: those with the largest differences."""
-    from orchestrator.pages import plotting
-
-    return plotting.draw(traces(comparison, signals))
+    """The rows of the signals to show, of all runs, without those that are equal."""
+    runs, chosen = comparison.against, set(comparison.signals)
+    return [r for n in runs for r in runs[n].rows if r.signal in chosen and not comparison.equal(n, r)]
 
 
 def traces(comparison: Comparison, signals: Sequence[str] | None = None) -> TraceFigure:
@@ -261,31 +226,19 @@ def _difference(row: ValidatedSignal) -> str:
 
 
 def _signals(comparison: Comparison) -> Iterator[TextTable]:
-    """Tables of NRMSE and largest difference of the shown signals, as many runs side by side as fit."""
-    left = list(comparison.against)
-    while left:
-        count = len(left)
-        while count > 1 and max(map(len, _signal_table(comparison, left[:count]).lines())) > WIDTH:
-            count -= 1
-        yield _signal_table(comparison, left[:count])
-        left = left[count:]
-
-
-def _signal_table(comparison: Comparison, labels: Sequence[str]) -> TextTable:
-    """A column for each run."""
-    by_run = [{row.signal: row for row in comparison.against[label].rows} for label in labels]
-    rows, group = [], ""
-    for signal in comparison.signals:
-        row = by_run[0][signal]
-        if row.group != group:
-            rows.append([f"{row.group}"] + [""] * len(by_run))
-        group = row.group
-        cells = (
-            EQUAL if comparison.equal(label, of_run[signal]) else ", ".join(_cells(of_run[signal]))
-            for label, of_run in zip(labels, by_run, strict=True)
-        )
-        rows.append([f"  {signal}", *cells])
-    return TextTable(["NRMSE, largest difference", *labels], rows)
+    """NRMSE and largest difference of the shown signals, a column for each run, a few runs in a table."""
+    runs = list(comparison.against)
+    for labels in (runs[k : k + SIDE_BY_SIDE] for k in range(0, len(runs), SIDE_BY_SIDE)):
+        found = [{row.signal: row for row in comparison.against[label].rows} for label in labels]
+        groups = {signal: found[0][signal].group for signal in comparison.signals}
+        rows = list[list[str]]()
+        for group, signals in grouped(groups, groups.__getitem__).items():
+            rows.append([group])
+            for signal in signals:
+                pairs = zip(labels, (of_run[signal] for of_run in found), strict=True)
+                cells = (EQUAL if comparison.equal(n, row) else ", ".join(_cells(row)) for n, row in pairs)
+                rows.append([f"  {signal}", *cells])
+        yield TextTable(["NRMSE, largest difference", *labels], rows)
 
 
 def _cells(row: ValidatedSignal) -> tuple[str, str]:
@@ -327,23 +280,24 @@ def report(comparison: Comparison) -> Report:
         "experiments": comparison.experiments,
         "unreliable": comparison.unreliable,
     }
-    return Report(f"{others} against {reference}", _verdict(comparison), parts, data, lead=lead)
+    return Report(f"{others} against {reference}", verdict(comparison), parts, data, lead=lead)
 
 
-def _verdict(comparison: Comparison) -> str:
+def verdict(comparison: Comparison) -> str:
     """The signal with the largest NRMSE of all runs."""
-    quantities = [(label, q) for label in comparison.against for q in comparison.quantities()]
-    rows = [(label, row) for label, q in quantities if (row := comparison.worst(label, q))]
-    if not (rows := [(n, r) for n, r in rows if not comparison.equal(n, r)]):
+    if (found := _worst_of_all(comparison)) is None:
         return "no signal differs"
-    label, worst = max(rows, key=lambda pair: pair[1].metrics.nrmse or 0.0)
+    label, worst = found
     nrmse = percentage(worst.metrics.nrmse)
     return f"largest NRMSE: {worst.signal} of {label}, {nrmse}; at most {_difference(worst)}"
 
 
-def text(comparison: Comparison) -> str:
-    """What a terminal shows."""
-    return report(comparison).text()
+def _worst_of_all(comparison: Comparison) -> tuple[str, ValidatedSignal] | None:
+    """Run and signal with the largest NRMSE; None if no signal differs."""
+    quantities = [(label, q) for label in comparison.against for q in comparison.quantities()]
+    rows = [(label, row) for label, q in quantities if (row := comparison.worst(label, q))]
+    differ = [(label, row) for label, row in rows if not comparison.equal(label, row)]
+    return max(differ, key=lambda pair: pair[1].metrics.nrmse or 0.0, default=None)
 
 
 def _runs(comparison: Comparison) -> TextTable:
@@ -358,17 +312,6 @@ def _runs(comparison: Comparison) -> TextTable:
         system = run.metadata.system if run.metadata else ""
         rows.append([run.label, run.file, system, ", ".join(settings)])
     return TextTable(["run", "file", "system", "settings"], rows, left=(0, 1, 2, 3))
-
-
-def write(comparison: Comparison, folder: str | Path, made: Report | None = None) -> tuple[Path, Path, Path]:
-    """Write comparison.html, comparison.png and comparison.json to a folder; returns the three.
-
-    made   the report of the comparison, if there is one
-    """
-    from orchestrator.pages.plotting import png
-
-    page, numbers = (made or report(comparison)).write(Path(folder) / "comparison.html")
-    return page, write_whole(page.with_suffix(".png"), png(draw(comparison))), numbers
 
 
 def _run_data(run: Run) -> dict[str, Any]:

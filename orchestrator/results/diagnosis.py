@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, require, tell_once
@@ -23,10 +24,11 @@ from orchestrator.data.recording import read_recording
 from orchestrator.data.table import READABLE, Array
 from orchestrator.data.trace import Trace, trace_of
 from orchestrator.drive.findings import findings as findings_in
+from orchestrator.drive.page import Replayed, fragment
 from orchestrator.engine.result import Result
 from orchestrator.engine.run import run
-from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
-from orchestrator.results.report import TERMINAL, Figure, Part, Report, Section, Table, Text
+from orchestrator.pages.figures import DASHES, PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
+from orchestrator.results.report import PAGE, TERMINAL, Figure, Machine, Part, Report, Section, Table, Text
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import Component, System
 from orchestrator.ssp.write import parameter_set
@@ -44,6 +46,7 @@ BEYOND = 1.5  # times the full command of a valve
 # settings for readings of each step
 COUNTED = ("still_time", "still_motion", "response_time", "burst_volume", "delay_limit")
 KNOWN = 100.0  # a deviation of the prior over one from which a size can be learned that is never told
+STATES = {1.0: "a fault", 0.0: "none", -1.0: "not known"}
 FITTED, REFERENCE = "_fitted", "_reference"
 COLDEST = 200.0  # K
 EVEN = 1e6  # Pa, below which a return line without a resistance has one pressure
@@ -56,7 +59,8 @@ SHOWN = {
     "Pa.s/m3": (1e-5 * 200 * LITRE, "bar at 200 L/min"),
     "s": (1e3, "ms"),
 }
-GREY = "Grey: 95 % interval. Gaps: cannot be told."
+GREY = "Grey: 95 % interval. Dashed: the healthy machine. Gaps: cannot be told."
+MARKED = "Light blue in the picture: where the faults are, if they are on the arm"
 BLIND = (
     "A reading is missing or wrong, old and new readings contradict each other, or the machine did not do"
     " what would show it: rest, motion or flow for long enough"
@@ -138,6 +142,7 @@ class Diagnosis:
     findings: Sequence[Finding]
     result: Result
     remarks: Sequence[str]
+    readings: Trace | None = None
 
     @property
     def broken(self) -> list[Finding]:
@@ -200,18 +205,22 @@ class Diagnosis:
         if self.broken:
             unsure = [f.text for f in self.broken if f.may_be_healthy]
             together = "; by its own interval it may be healthy, but not with the others of its part: "
-            told = f"{len(self.broken)} found, the most certain first"
+            count = len(self.broken)
+            told = "1 fault found" if count == 1 else f"{count} faults found, the most certain first"
             return f"{told}{together if unsure else ''}{'; '.join(unsure)}"
         return f"not known whether it is healthy: {self.lacking}" if self.lacking else "nothing found"
 
     def table(self) -> TextTable:
         """The faults."""
-        rows = [[f.text, f.extent(), f.usual(), f"{f.since:.2f}", f.repair] for f in self.broken]
-        head = ("fault", "size (95 % interval)", "healthy", "told at [s]", "look at")
-        return TextTable(head, rows, left=(0, 1, 2, 4))
+        rows = [[f.text, f.repair, f.extent(), f.usual(), f"{f.since:.2f}"] for f in self.broken]
+        head = ("fault", "look at", "size (95 % interval)", "healthy", "found at [s]")
+        return TextTable(head, rows, left=(0, 1, 2, 3))
 
-    def report(self) -> Report:
-        """What is broken, with its picture; without a fault, what was not examined comes first."""
+    def report(self, machine: Markup = Markup()) -> Report:  # noqa: B008  immutable
+        """What is broken, with its picture; without a fault, what was not examined comes first.
+
+        machine   the machine with the marked parts, as HTML
+        """
         blind = [f"{name}: {'; '.join(f.text for f in some)}" for name, some in self.blind.items()]
         told = [f"{self.source}: {self.verdict}"]
         at_end = [f"Cannot be told at the end: {', '.join(self.blind)}"] if self.blind else []
@@ -227,13 +236,16 @@ class Diagnosis:
             Text(self.remarks, "soft"),
             *([Table(self.table())] if self.broken else []),
             Text([*told, *at_end] if self.broken else [*at_end, *told], only=TERMINAL),
-            *(Section(f.text, [_told(f), Figure(_figure(f), f.name, GREY)]) for f in self.broken),
+            Text([MARKED] if machine else (), "soft", only=PAGE),
+            Machine(machine),
+            *(Section(f.text, [_told(f), Figure(_figure(f), f.text, GREY)]) for f in self.broken),
             *([sound, unknown] if self.broken else [unknown, sound]),
         ]
         data = {"source": self.source, "remarks": self.remarks, "findings": [_data(f) for f in self.findings]}
         passed = False if self.broken else True if self.is_known else None
         lead = [f"{number(time[0])} to {number(time[-1])} s{interval}"]
-        return Report(f"Diagnosis of {self.source}", self.verdict, parts, data, passed, lead)
+        states = "no fault", f"{len(self.broken)} fault{'s' * (len(self.broken) > 1)}"
+        return Report(f"Diagnosis of {self.source}", self.verdict, parts, data, passed, lead, states)
 
     def text(self) -> str:
         """For a terminal."""
@@ -244,7 +256,7 @@ def _told(f: Finding) -> Text:
     """When a fault was told, its size beside the healthy one, and the repair."""
     healthy = f"; healthy: {usual}" if (usual := f.usual()) else ""
     size = [f"{f.extent()}{healthy}"] if f.extent() else []
-    return Text([f"Told at {number(f.since)} s", f"Look at: {f.repair}", *size])
+    return Text([f"Look at: {f.repair}", *size, f"Found at {number(f.since)} s"], only=PAGE)
 
 
 def _data(f: Finding) -> dict[str, Any]:
@@ -465,7 +477,7 @@ def _run(
     if len(valves) > 1 and valves <= {f.repair for f in findings if f.broken}:
         text = "the valves of all functions differ from those of the healthy machine"
         doubts.append(f"{source}: {text}; is it a recording of another one? --learn makes the values of each")
-    return Diagnosis(source, findings, result, [*remarks, *doubts])
+    return Diagnosis(source, findings, result, [*remarks, *doubts], trace)
 
 
 def _without(component: Component, trace: Trace, source: str) -> tuple[list[str], list[str]]:
@@ -489,6 +501,18 @@ def _without(component: Component, trace: Trace, source: str) -> tuple[list[str]
         elif v.unit_name not in (None, "1"):
             remarks.append(f"{source}: no column {name}; its start value counts")
     return missing, remarks
+
+
+def picture(diagnosis: Diagnosis, fmu: Path) -> Markup:
+    """The machine that replays the readings, its faults marked; empty without a system next to the FMU."""
+    faults = [f.name for f in diagnosis.broken]
+    beside = sorted(fmu.parent.glob("*.ssp"), key=lambda path: (len(path.name), path.name))
+    if not (faults and beside and diagnosis.readings):
+        return Markup()
+    try:
+        return fragment(beside[0], Replayed(diagnosis.readings), faults=faults)
+    except Problem:
+        return Markup()
 
 
 def learned_values(diagnosis: Diagnosis) -> dict[str, float]:
@@ -520,14 +544,16 @@ def learned(diagnosis: Diagnosis) -> bytes:
 
 
 def _figure(f: Finding) -> TraceFigure:
-    """Size with its 95 % interval over the time, and when it is a fault."""
+    """Size with its 95 % interval and that of the healthy machine over the time, and when it is a fault."""
     factor, unit = f.shown
     size, off = factor * f.size, INTERVAL * factor * f.deviation
     known = f.state >= 0
     size, low, high = (np.where(known, v, np.nan) for v in (size, size - off, size + off))
     line = TraceLine(f.time, size, {"color": PALETTE.ink, "linewidth": 1.3})
+    dashed = {"color": PALETTE.good, "linewidth": 1.3, "linestyle": DASHES}
+    healthy = TraceLine(f.time[[0, -1]], np.full(2, factor * f.healthy), dashed, "healthy")
     areas = [TraceArea(f.time, low, high, PALETTE.faint)] if off.any() else []
     state = TraceLine(f.time, f.state, {"color": PALETTE.ink, "linewidth": 1.3})
-    told = TracePanel("", [state], "1: a fault, 0: none, -1: cannot be told", heights=(1.2, 1.0))
-    panels = [TracePanel(unit, [line], f.text, areas=areas), told]
+    told = TracePanel("", [state], "State", heights=(1.2, 1.0), words=STATES)
+    panels = [TracePanel(unit, [line, healthy], "Size", areas=areas), told]
     return TraceFigure(panels if off.any() else panels[1:])

@@ -13,7 +13,7 @@ Powers are integrated over the samples by the trapezoidal rule.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain, cycle
 from typing import TYPE_CHECKING, Any
@@ -21,9 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import TextTable, number, short_names
+from orchestrator.base.text import TextTable, number, percentage, short_names
 from orchestrator.data.trace import Trace
 from orchestrator.pages.figures import PALETTE
+from orchestrator.results.report import Part, Report, Table, Text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,10 +70,6 @@ class Energy:
         of_supplies = [causes for owner, causes in self.heat.items() if owner not in self.supplied]
         heat = {cause: sum(c.get(cause, 0.0) for c in of_supplies) for c in of_supplies for cause in c}
         return heat | dict(self.supplied)
-
-    def data(self) -> dict[str, Any]:
-        """All energies, for JSON."""
-        return asdict(self) | {"remainder": self.remainder}
 
 
 def energy(trace: Trace, name: str) -> Energy:
@@ -154,6 +151,17 @@ def table(energies: Mapping[str, Energy]) -> TextTable:
     first, *others = energies
     head = ["", "", *chain(*((f"{label} [kJ]", "[%]") for label in energies))]
     return TextTable([*head, *(f"{other} - {first}" for other in others)], rows, left=(0, 1))
+
+
+def report(energies: Mapping[str, Energy], unreliable: Sequence[str] = ()) -> Report:
+    """Where the energy of each run went; unreliable: why runs are not reliable."""
+    to_load = {n: sum(e.load.values()) / e.engine for n, e in energies.items() if e.engine}
+    kilojoules = {n: number(energies[n].engine / 1e3, 4) for n in to_load}
+    told = [f"{n}: {kilojoules[n]} kJ, {percentage(share)} to the load" for n, share in to_load.items()]
+    runs = {label: asdict(e) | {"remainder": e.remainder} for label, e in energies.items()}
+    parts: list[Part] = [Text(unreliable, "warn"), Table(table(energies))]
+    verdict = "; ".join(told) or "no energy came from the engine"
+    return Report("Energy", verdict, parts, {"runs": runs, "unreliable": unreliable})
 
 
 def draw(energies: Mapping[str, Energy]) -> Figure:

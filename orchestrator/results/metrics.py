@@ -7,7 +7,6 @@ With the error e = simulation - reference y over n common samples:
     NRMSE           RMSE / (max y - min y)              over the range of the whole reference
     fit             100 (1 - ||e|| / ||y - mean y||)    [%]
     VAF             100 (1 - var e / var y)             [%]  variance accounted for; ignores an offset
-    ISO/TS 18571    rating 0..1 of corridor, phase, magnitude and slope: iso18571.py
 
 A constant reference has no range: then NRMSE uses the magnitude of the reference, fit and VAF are None, and
 a note is added. If a signal moves by less than 0.1 % of its nominal value, this floor is the divisor. The
@@ -24,36 +23,11 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.signals import TINY, moves, rms
 from orchestrator.data.table import Array
-from orchestrator.results import iso18571
 
-# Samples of the rating at equal steps. The 10 kHz of the standard are meant for crash pulses of 0.1 s, which
-# also have 1000 samples.
-ISO_SAMPLES = 1000
-ISO_MINIMUM = 30
 # Range over nominal value of a signal at rest, whose errors would otherwise be divided by noise.
 AT_REST, HARDLY_MOVES = 1e-3, "the reference hardly moves"
 GIVEN = "NRMSE over the given range"
 HUGE = 1e150  # magnitudes whose squares leave the range of a float are refused
-
-
-@dataclass(frozen=True)
-class Rating:
-    """ISO/TS 18571: overall rating and its parts, each 0..1; all None when not rated, with the reason."""
-
-    overall: float | None = None
-    corridor: float | None = None
-    phase: float | None = None
-    magnitude: float | None = None
-    slope: float | None = None
-    reason: str = ""
-
-    @property
-    def grade(self) -> str:
-        """Grade of the overall rating in the standard."""
-        if self.overall is None:
-            return "not rated"
-        grades = ((0.94, "excellent"), (0.80, "good"), (0.58, "fair"))
-        return next((grade for limit, grade in grades if self.overall > limit), "poor")
 
 
 @dataclass(frozen=True)
@@ -68,14 +42,13 @@ class Metrics:
     normalised_by: float  # denominator of NRMSE, in the unit of the signal
     fit: float | None  # [%]
     vaf: float | None  # [%]
-    iso: Rating
     notes: tuple[str, ...] = ()
 
     def value(self, metric: str) -> float | None:
         """Value of a metric by its name in a description."""
         if metric == "maximum":
             return self.maximum_error
-        value: float | None = self.iso.overall if metric == "iso" else getattr(self, metric)
+        value: float | None = getattr(self, metric)
         return value
 
 
@@ -87,7 +60,6 @@ def measure(
     span: float | None = None,
     floor: float = 0.0,
     recording: Array | None = None,
-    rate: bool = True,
     where: str,
 ) -> Metrics:
     """Metrics of one signal on common samples, all arrays of shape (n,).
@@ -95,7 +67,6 @@ def measure(
     span       denominator of NRMSE instead of the range of the reference
     floor      smallest denominator of NRMSE otherwise, such as `AT_REST` times the nominal value
     recording  the recording, shape (m,), that contains `reference`; its range is the range of the reference
-    rate       whether to compute the ISO/TS 18571 rating
     where      file and signal, for messages
     """
     _check(time, simulation, reference, where)
@@ -107,9 +78,7 @@ def measure(
     norm = float(np.linalg.norm(reference - reference.mean()))
     is_constant = not moves(reference, recording)
     if is_constant and moves(recording):
-        notes = (*notes, "the reference is constant in this window: no fit, VAF or ISO rating")
-    not_rated = "the reference is constant" if is_constant else ""
-    reason = not_rated if rate else "not requested"
+        notes = (*notes, "the reference is constant in this window: no fit or VAF")
     return Metrics(
         maximum_error=float(abs(error[largest])),
         time_of_maximum=float(time[largest]),
@@ -119,26 +88,8 @@ def measure(
         normalised_by=denominator,
         fit=None if is_constant else 100 * (1 - float(np.linalg.norm(error)) / norm),
         vaf=None if is_constant else 100 * (1 - float(np.var(error) / np.var(reference))),
-        iso=Rating(reason=reason) if reason else iso_rating(time, simulation, reference),
         notes=notes,
     )
-
-
-def iso_rating(time: Array, simulation: Array, reference: Array) -> Rating:
-    """ISO/TS 18571 rating of a simulation against its reference, shape (n,) each, or why there is none."""
-    if not moves(reference):
-        return Rating(reason="the reference is constant")
-    if len(time) < ISO_MINIMUM:
-        return Rating(reason=f"{len(time)} samples are fewer than {ISO_MINIMUM}")
-    if np.array_equal(simulation, reference):
-        return Rating(1.0, 1.0, 1.0, 1.0, 1.0)
-    equal_steps = np.linspace(time[0], time[-1], ISO_SAMPLES)
-    curves = (np.interp(equal_steps, time, y) for y in (simulation, reference))
-    with np.errstate(all="ignore"):  # a part of a signal may be constant: 0 divided by 0
-        parts = iso18571.rate(*curves)
-    if not np.all(np.isfinite(parts)):
-        return Rating(reason="the shifted reference is constant, its slope cannot be rated")
-    return Rating(*parts)
 
 
 def _check(time: Array, simulation: Array, reference: Array, where: str) -> None:
@@ -163,7 +114,7 @@ def _denominator(reference: Array, span: float | None, floor: float = 0.0) -> tu
         return float(np.ptp(reference)), ()
     magnitude = float(np.max(np.abs(reference)))
     if magnitude > TINY:
-        return magnitude, ("the reference is constant: NRMSE over its magnitude, no fit, VAF or ISO rating",)
+        return magnitude, ("the reference is constant: NRMSE over its magnitude, no fit or VAF",)
     return 0.0, ("the reference is zero: NRMSE is undefined unless the error is zero, too; judge it by rmse",)
 
 

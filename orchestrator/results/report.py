@@ -41,7 +41,9 @@ class Text:
         return "\n".join(self.lines)
 
     def html(self) -> Markup:
-        """For a page: each line a sentence."""
+        """For a page: each line a sentence; of the kind pre as in a terminal."""
+        if self.kind == "pre":
+            return Markup("<pre>{}</pre>").format(self.text())
         tag = Markup(f'<p class="{self.kind}">') if self.kind else Markup("<p>")
         return Markup("\n").join(tag + html_page.sentence(line) + Markup("</p>") for line in self.lines)
 
@@ -193,10 +195,11 @@ class Report:
 
     verdict   the answer in a sentence, the last line in a terminal and the first one of a page
     parts     what else it tells, those that are empty are left out; a page has a section for each `Section`,
-              and the others in its head
+              and the others in its head, figures and machine beside each other
     data      for programs, besides title, verdict and passed
     passed    whether all is within its limits; None: there are none
     lead      short paragraphs of a page below the verdict
+    states    words of `passed` on a page
     """
 
     title: str
@@ -205,6 +208,7 @@ class Report:
     data: Mapping[str, Any] = field(default_factory=dict)
     passed: bool | None = None
     lead: Sequence[str] = ()
+    states: tuple[str, str] = ("pass", "fail")
 
     def text(self, verdict: bool = True) -> str:
         """For a terminal; the verdict is the last line, unless the parts contain it."""
@@ -214,10 +218,12 @@ class Report:
         """The page, one file without requests."""
         shown = [part for part in self.parts if part and part.only != TERMINAL]
         sections = [part for part in shown if isinstance(part, Section)]
-        first = [part for part in shown if not isinstance(part, Section)]
-        state = {True: ("pass", "✓ pass"), False: ("fail", "✗ fail"), None: ("", "")}[self.passed]
+        first = [part for part in shown if isinstance(part, Figure | Columns | Machine)]
+        above = [part for part in shown if not isinstance(part, Section) and part not in first]
+        good, bad = self.states
+        state = {True: ("pass", f"✓ {good}"), False: ("fail", f"✗ {bad}"), None: ("", "")}[self.passed]
         plots = any(isinstance(p.figure, TraceFigure) for p in _every(shown) if isinstance(p, Figure))
-        content = {"report": self, "first": first, "sections": sections, "state": state}
+        content = {"report": self, "above": above, "first": first, "sections": sections, "state": state}
         return html_page.render(TEMPLATE, title=self.title, plots=plots, **content)
 
     def values(self) -> dict[str, Any]:

@@ -140,33 +140,34 @@ def judge(
     layout: Layout,
     out: Path,
     facts: Mapping[str, Any],
-    rate: bool = True,
     machine: Markup = Markup(),  # noqa: B008  immutable
 ) -> tuple[Validation, Report, Path, Path]:
     """Compare a run with a reference and write report.html and report.json into the folder `out`.
 
     layout  without figures there is one, with a row per compared signal
     facts   settings of the run, in the order of the report
-    rate    whether to compute the ISO/TS 18571 rating, which takes most of the time
     machine the machine that replays the run, as HTML
     """
     with doing(f"comparing {len(reference.signals)} signals"):
-        validation = validate(result.trace, reference, rate=rate)
+        validation = validate(result.trace, reference)
     validation = replace(validation, unreliable=result.card.unreliable)
     layout.check(result.trace)
     panels = tuple(PanelSpec(row.title, (row.signal,)) for row in validation.rows)
+    run = {
+        "facts": facts,
+        "accuracy": result.card,
+        "components": [describe(c) for c in result.system.components.values()],
+        "parameters": list(parameters(result.system)),
+        "warnings": result.card.warnings,
+        "notes": result.card.notes,
+    }
     found = validation_report(
-        title=layout.title or f"Validation of {result.system.name}",
-        validation=validation,
-        figures=layout.figures or ((FigureSpec("Signals over time", panels),) if panels else ()),
-        trace=result.trace,
-        facts=facts,
-        components=[describe(c) for c in result.system.components.values()],
-        parameters=list(parameters(result.system)),
-        card=card(result),
-        machine=machine,
-        warnings=result.card.warnings,
-        notes=result.card.notes,
+        layout.title or f"Validation of {result.system.name}",
+        validation,
+        layout.figures or ((FigureSpec("Signals over time", panels),) if panels else ()),
+        result.trace,
+        run,
+        machine,
         caution="; ".join(filter(None, (*result.card.unreliable, another_model(result.system, reference)))),
     )
     with doing("writing the report"):
@@ -255,26 +256,6 @@ def _provenance(component: Component) -> Mapping[str, Mapping[str, Any]]:
     return tables if isinstance(tables, dict) else {}
 
 
-def card(result: Result) -> Mapping[str, Any]:
-    """The accuracy card for the report."""
-    c = result.card
-    return {
-        "wall time [s]": round(c.wall, 3),
-        "real-time factor": round(c.real_time_factor, 1),
-        "steps": c.steps,
-        **({"passes per step": round(c.passes / max(c.steps, 1), 2)} if c.passes > c.steps else {}),
-        **({"steps repeated": c.repeated} if c.repeated else {}),
-        "energy residual of the power bonds, share of the exchanged energy": {
-            b.name: _bond(*c.bond(b)) for b in c.bonds
-        },
-    }
-
-
-def _bond(residual: str, exchanged: str, share: str) -> str:
-    joules = f"{residual} J of {exchanged} J"
-    return share if not exchanged else joules if share == "-" else f"{share} ({joules})"
-
-
 @dataclass(frozen=True)
 class Experiment:
     """A run, and what it is compared with.
@@ -353,14 +334,12 @@ class Experiment:
 def validate_system(
     of: Experiment,
     out: Path,
-    rate: bool = True,
     default_accuracy: float | None = None,
     report: Callable[[str], object] = lambda _: None,
 ) -> tuple[Validation, str]:
     """Co-simulate, compare, write the trace and the report; returns comparison, and what to print.
 
     out      folder of run.csv, report.html and report.json
-    rate     whether to compute the ISO/TS 18571 rating
     default_accuracy   as for `run_to_file`
     report           called before the run with what differs in the numbers of the system, if anything does
     """
@@ -417,7 +396,7 @@ def validate_system(
     machine, reason = _machine(of.system, result, against)
     result = result.noted(reason) if reason else result
     result = replace(result, trace=recorded)
-    validation, found, html, data = judge(result, against, page, out, facts, rate, machine)
+    validation, found, html, data = judge(result, against, page, out, facts, machine)
     files = f"report: {html}\nnumbers: {data}\ntrace: {file}"
     return validation, f"{found.text()}\n\n{card.text()}\n\n{files}"
 
@@ -470,15 +449,8 @@ def _facts(
         "scenario": str(scenario) if scenario else "none: the inputs are those of the system",
         "reference": reference,
         "master": card.master,
+        "simulated [s]": card.simulated,
     }
-    if card.adaptive is None:
-        facts |= {"communication step [s]": card.step, "record step [s]": card.record_step}
-    else:
-        shortest, longest = card.lengths
-        facts["tolerance of a step"] = card.adaptive
-        facts["communication step [s]"] = f"{shortest:.3g} to {longest:.3g}, on average {card.step:.3g}"
-        facts["record step [s]"] = card.record_step or "every communication step"
-    facts["simulated [s]"] = card.simulated
     for name in ("parameters", "cut"):
         facts |= {name: ", ".join(options[name])} if options.get(name) else {}
     facts |= {f"swap {name}": chosen for name, chosen in (options.get("swap") or {}).items()}

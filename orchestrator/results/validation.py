@@ -62,7 +62,7 @@ def _variable(name: str) -> str:
 class ValidatedSignal:
     """One compared signal: samples of shape (n,) and metrics, in `unit`; `passed` is None without a limit.
 
-    listed   False: the signal is judged like the others, but neither rated nor listed while it passes
+    listed   False: the signal is judged like the others, but not listed while it passes
     """
 
     signal: str
@@ -153,7 +153,7 @@ class Validation:
 
 
 def validate(
-    run: Result | Data | str | Path, reference: Recording | Result | Data | str | Path, *, rate: bool = True
+    run: Result | Data | str | Path, reference: Recording | Result | Data | str | Path
 ) -> Validation:
     """Compare every signal of the reference with the run.
 
@@ -161,7 +161,6 @@ def validate(
                 or .mat file
     reference   a recording, or its data file with a .toml next to it; the result of `reference`; a trace, a
                 DataFrame or a mapping with signals in the units of the run
-    rate        whether to compute the ISO/TS 18571 rating, which takes most of the time
 
     Raises a Problem if the run lacks a signal, if units do not match, or without a common window.
     """
@@ -188,7 +187,7 @@ def validate(
         told = f"{len(missing)} signals of the reference are not in the run: {first_names(missing)}"
         notes, reference = (*notes, told), reference.select(n for n in reference.signals if n not in missing)
     return Validation(
-        rows=tuple(_row(name, trace, reference, grid, rate) for name in reference.signals),
+        rows=tuple(_row(name, trace, reference, grid) for name in reference.signals),
         window=(float(grid[0]), float(grid[-1])),
         title=reference.heading,
         source=reference.source.name,
@@ -244,7 +243,7 @@ def _between(grid: Array, time: Array) -> int:
     return int(np.sum(np.abs(time[at_or_after] - grid) > tolerance))
 
 
-def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool) -> ValidatedSignal:
+def _row(name: str, trace: Trace, reference: Recording, grid: Array) -> ValidatedSignal:
     """Resample, measure and judge one signal."""
     where, values, notes = f"{reference.source}: {name}", trace[name], []
     listed = name not in reference.unlisted
@@ -275,7 +274,6 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
         span=None if criterion.span is None else criterion.span * factor,
         floor=criterion.floor,
         recording=recorded[valid & inside(reference.time, reference.start, reference.stop)],
-        rate=rate and listed,
         where=where,
     )
     tolerance = None if criterion.tolerance is None else criterion.tolerance.scaled(factor)

@@ -8,10 +8,11 @@ is dotted, and the strip below shows simulation - reference on its own scale.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import Any
 
 from markupsafe import Markup, escape
 
@@ -53,9 +54,6 @@ from orchestrator.results.report import (
 )
 from orchestrator.results.validation import ValidatedSignal, Validation
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
-
 NAMES = {
     "nrmse": "NRMSE",
     "rmse": "RMSE",
@@ -63,7 +61,6 @@ NAMES = {
     "maximum_relative": "max. relative error",
     "fit": "fit",
     "vaf": "VAF",
-    "iso": "ISO rating",
 }
 ALMOST = 99.99  # [%]
 MISSED = 20  # signals outside their limits that are listed
@@ -74,8 +71,7 @@ SAME_EQUATIONS = (
 METRICS = (
     "Error = simulation - reference. NRMSE: RMSE over the range of the reference. Fit:"
     " 100 (1 - ‖error‖ / ‖reference - its mean‖). VAF: variance accounted for,"
-    " 100 (1 - var(error) / var(reference)). ISO/TS 18571: 0 to 1, of corridor, phase, magnitude and slope;"
-    " above 0.94 excellent, 0.80 good, 0.58 fair"
+    " 100 (1 - var(error) / var(reference))"
 )
 
 
@@ -84,56 +80,51 @@ def validation_report(
     validation: Validation,
     figures: Sequence[FigureSpec] = (),
     trace: Trace | None = None,
-    facts: Mapping[str, Any] | None = None,
-    components: Sequence[Mapping[str, str]] = (),
-    parameters: Sequence[Mapping[str, Any]] = (),
-    card: Mapping[str, Any] | None = None,
+    run: Mapping[str, Any] = MappingProxyType({}),
     machine: Markup = Markup(),  # noqa: B008  immutable
-    warnings: Sequence[str] = (),
-    notes: Sequence[str] = (),
     caution: str = "",
 ) -> Report:
     """The report of a validation.
 
-    facts        settings of the run in the order of the report: system, scenario, master, step, ...
-    components   of each FMU: name, file, version, fmi, tool, text, guid, sha256
-    parameters   of the run: component, name, value, unit, text, source, note; `changed` if it was set for
-                 this run; `shipped` and `origin` of one that differs from the shipped value
-    card         accuracy card of the run: name -> number, text or a mapping of those
     trace        the run, for figures of signals that were not compared, such as commands
+    run          facts: settings of the run; accuracy: its card; notes; warnings
+                 components: of each FMU name, file, version, fmi, tool, text, guid, sha256
+                 parameters: component, name, value, unit, text, source, note; `changed` if it was set for
+                 this run; `shipped` and `origin` of one that differs from the shipped value
     machine      the machine that replays the run and can be driven, as HTML
     caution      remark before the verdict
     """
+    none = dict.fromkeys(("components", "parameters", "notes", "warnings"), ())
+    run = {"facts": {}, "accuracy": None, **none, **run}
     simulated = str(validation.about.get("kind", "")).startswith("simulation")
     start, stop = validation.window
     against = f"Compared with {validation.title} from {number(start)} to {number(stop)} s"
-    changed = sum(bool(p.get("changed")) for p in parameters)
+    changed = sum(bool(p.get("changed")) for p in run["parameters"])
     of_run = f", {changed} changed for this run" if changed else ""
-    settings, card_table = Facts(facts or {}), Section("Accuracy card", [Facts(card or {})])
+    told = run["accuracy"].text().splitlines() if run["accuracy"] else ()
+    card = Text([line for line in told if not line.startswith(("note: ", "warning: "))], "pre")
     about = {"file": validation.source, **validation.about}
     drawn = [(f.title, Figure(traces(f, validation, trace), f.title, f.caption)) for f in figures]
+    of_parameters = f"Parameters ({len(run['parameters'])}{of_run})"
     parts: list[Part] = [
         Text(_summary(validation), only=TERMINAL),
+        _numbers(validation),
         *_worst(validation, trace),
         Machine(machine),
-        Section("Warnings of the run", [Text(warnings, "warn")]),
+        Section("Warnings of the run", [Text(run["warnings"], "warn")]),
         *(Section(name, [figure]) for name, figure in drawn),
-        Section("Use of limits", [Table(_use_of_limits(validation))], folded=True),
         Section("Signals", [Table(_signals(validation)), Text([METRICS], "soft")], folded=True),
-        Section("Run", [settings, Text(notes, "soft"), card_table, Table(_components(components))], True),
-        Section(f"Parameters ({len(parameters)}{of_run})", [Table(_parameters(parameters))], True),
+        Section("Run", [Facts(run["facts"]), card, Text(run["notes"], "soft")], folded=True),
+        Section("FMUs", [_components(run["components"])], folded=True),
+        Section(of_parameters, [Table(_parameters(run["parameters"]))], True),
         Section("Reference", [Facts(about), Text(validation.notes, "soft")], folded=True),
     ]
     data = {
         "reference": about,
         "window": {"start": start, "stop": stop},
         "signals": [_data(row) for row in validation.rows],
-        "facts": facts or {},
-        "accuracy": card or {},
-        "components": components,
-        "parameters": parameters,
-        "notes": [*notes, *validation.notes],
-        "warnings": warnings,
+        **run,
+        "notes": [*run["notes"], *validation.notes],
     }
     passed = validation.passed if validation.judged or validation.unreliable else None
     lead = [against, caution or (SAME_EQUATIONS if simulated else "")]
@@ -148,7 +139,6 @@ def summary(validation: Validation) -> str:
 def _data(row: ValidatedSignal) -> dict[str, Any]:
     """A signal for programs, in SI units or its declared unit."""
     metrics = asdict(row.metrics)
-    metrics["iso"]["grade"] = row.metrics.iso.grade
     metrics.pop("notes")
     return {
         **{name: getattr(row, name) for name in ("signal", "label", "group", "unit")},
@@ -184,22 +174,7 @@ def _worst(validation: Validation, trace: Trace | None) -> list[Figure]:
             f"Uses {limit_share(row.limit_use)} of its limit. {NAMES[row.tolerance.metric]}: {limits}.{band}"
         )
     heading = f"Worst signal: {row.title}"
-    return [Figure(replace(figure, panels=[panel]), "Worst signal", typeset(caption), heading)]
-
-
-def _use_of_limits(validation: Validation) -> TextTable:
-    """Of each group its signal with the largest use of its limit."""
-    rows = []
-    for name, members in validation.groups.items():
-        judged = [row for row in members if row.passed is not None]
-        if judged:
-            worst = max(judged, key=lambda row: row.limit_use)
-            failed = sum(not row.passed for row in judged)
-            value = judged_text(worst, worst.judged_value)
-            texts = [limit_share(worst.limit_use), value, limit_text(worst), f"{failed} of {len(judged)}"]
-            rows.append([upper_first(name or "signals"), breakable(worst.title), *texts])
-    head = ["group", "worst signal", "use of its limit", "value", "limit", "failed"]
-    return TextTable(head, rows, left=(0, 1))
+    return [Figure(replace(figure, panels=[panel]), row.title, typeset(caption), heading)]
 
 
 def _signals(validation: Validation) -> TextTable:
@@ -213,10 +188,8 @@ def _signals(validation: Validation) -> TextTable:
             label = Markup("{}<br>").format(row.label) if row.label else Markup()
             state = "pass" if row.passed else "fail"
             result = Markup('<span class="mark {}">{}</span>').format(state, state) + soft.format(
-                typeset(limit_text(row))
+                typeset(f"{limit_share(row.limit_use)} of {limit_text(row)}")
             )
-            iso = m.iso
-            rated = "not rated" if iso.overall is None else f"{iso.overall:.3f}"
             rows.append(
                 [
                     label + Markup("<code>{}</code>").format(breakable(row.signal)),
@@ -226,20 +199,19 @@ def _signals(validation: Validation) -> TextTable:
                     unit.text(m.rmse),
                     percent(m.fit, m.rmse),
                     percent(m.vaf, m.rmse),
-                    escape(rated) + soft.format(iso.grade if iso.overall is not None else iso.reason),
                 ]
             )
             rows += [[f"{row.signal}: {note}"] for note in row.notes]
-    head = ["signal", "result", "NRMSE over range", "max. error", "RMSE", "fit", "VAF", "ISO/TS 18571"]
+    head = ["signal", "result", "NRMSE over range", "max. error", "RMSE", "fit", "VAF"]
     return TextTable(head, rows, left=(0, 1))
 
 
-def _components(components: Sequence[Mapping[str, str]]) -> TextTable:
+def _components(components: Sequence[Mapping[str, str]]) -> Table:
     """The FMUs of a run."""
     keys = ("name", "file", "version", "fmi", "tool", "text", "guid", "sha256")
     rows = [[c.get(key) or "" for key in keys] for c in components]
     head = ["component", "file", "version", "FMI", "tool", "text", "GUID", "SHA-256 of the file"]
-    return TextTable(head, rows, left=range(len(head)))
+    return Table(TextTable(head, rows, left=range(len(head))))
 
 
 def _parameters(parameters: Sequence[Mapping[str, Any]]) -> TextTable:
@@ -286,15 +258,7 @@ def judged_text(row: ValidatedSignal, value: float | None) -> str:
         return error_display_unit(row.unit).ascii(value)
     if row.tolerance.metric in ("nrmse", "maximum_relative"):
         return percentage(value)
-    return _exact_percent(value) if row.tolerance.metric in ("fit", "vaf") else number(value)
-
-
-def _exact_percent(value: float) -> str:
-    """Fit or VAF [%] beside its limit, rounded down: two decimals, near 100 % up to four."""
-    if value < 99:
-        return f"{math.floor(100 * value + 1e-6) / 100:.2f} %"
-    text = f"{math.floor(1e4 * value + 1e-6) / 1e4:.4f}"
-    return f"{text[:-2]}{text[-2:].rstrip('0')} %"
+    return f"{math.floor(1e4 * value + 1e-6) / 1e4:g} %"  # fit or VAF, rounded down
 
 
 def limit_text(row: ValidatedSignal) -> str:
@@ -319,7 +283,7 @@ def miss_text(row: ValidatedSignal) -> str:
     metric, allowed, value = NAMES[row.tolerance.metric], row.tolerance.limit, row.judged_value
     limits = f"limit {judged_text(row, allowed)}"
     if value is None:
-        reason = row.metrics.iso.reason if row.tolerance.metric == "iso" else "; ".join(row.notes)
+        reason = "; ".join(row.notes)
         return f"no {metric}, {limits}" + (f" ({reason})" if reason else "")
     if not row.tolerance.upper:
         return f"{metric} {judged_text(row, value)}, {limits} ({judged_text(row, allowed - value)} short)"
@@ -327,67 +291,43 @@ def miss_text(row: ValidatedSignal) -> str:
     return f"{metric} {judged_text(row, value)}, {limits} ({number(ratio, 3 if ratio > 1.01 else 9)} times)"
 
 
-_WIDTHS = (9, 8, 8, 7, 7, 5, 4)
-_HEADINGS = ("max error", "RMSE", "NRMSE %", "fit %", "VAF %", "ISO", "")
-_LEGEND = "NRMSE: over the range of the reference, or a given one; ISO: ISO/TS 18571"
-WIDTH = 80  # characters of a line
-
-
 def _summary(validation: Validation) -> list[str]:
-    """Failed signals, table and notes."""
+    """Why a run is not reliable, and the failed signals, the worst first."""
     lines = [f"FAIL: {reason}" for reason in validation.unreliable]
-    lines += [*_missed(validation), f"Compared with: {validation.title}", *_table(validation)]
-    return [*lines, _LEGEND, *validation.notes, *_remarks(validation)]
+    if failed := sorted(validation.failed, key=lambda row: -row.limit_use):
+        verb = "is outside its limit" if len(failed) == 1 else "are outside their limits"
+        lines.append(f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}")
+        lines += [f"! {row.signal}: {miss_text(row)}" for row in failed[:MISSED]]
+        lines += [f"! {len(failed) - MISSED} more, in the report"] if len(failed) > MISSED else []
+    return lines
 
 
-def _missed(validation: Validation) -> Iterator[str]:
-    """The worst signals outside their limits."""
-    if not validation.failed:
-        return
-    failed = [(row.limit_use, row) for row in validation.failed if row.tolerance]
-    failed.sort(key=lambda entry: -entry[0])
-    verb = "is outside its limit" if len(failed) == 1 else "are outside their limits"
-    yield f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}"
-    more = [f"{len(failed) - MISSED} more, in the report"] if len(failed) > MISSED else []
-    lines = [f"{row.signal}: {miss_text(row)}" for _, row in failed[:MISSED]]
-    yield from (f"! {line}" for line in (*lines, *more))
-    yield ""
-
-
-def _table(validation: Validation) -> Iterator[str]:
-    """Headings, then a line for each group and unit, and below it a line for each signal.
-
-    Signals without limit are last. A component is only written if another signal has the same variable.
-    """
-    rows = [row for row in validation.rows if row.listed]
-    names = short_names(row.signal for row in rows)
-    sections = grouped(sorted(rows, key=lambda row: row.tolerance is None), _section)
-    name_width = min(
-        max(map(len, names.values()), default=0), max(WIDTH - sum(_WIDTHS) - len(_WIDTHS) - 2, 12)
-    )
-    yield _line("  ", "", name_width, _HEADINGS)
-    for title, members in sections.items():
-        yield f"{title}{_limits(members)}"
+def _numbers(validation: Validation) -> Table:
+    """The listed signals by group, unit and metric; those without limit are last."""
+    listed = [row for row in validation.rows if row.listed]
+    names, rows = short_names(row.signal for row in listed), list[list[str]]()
+    for title, members in grouped(sorted(listed, key=lambda row: row.tolerance is None), _section).items():
+        rows.append([title])
         for row in members:
-            mark = "! " if row.passed is False else "  "
-            yield _line(mark, names[row.signal], name_width, _cells(row))
-    if others := [row.limit_use for row in validation.rows if not row.listed]:
-        yield f"{len(others)} others: at most {limit_share(max(others))} of their limits"
+            m, unit, mark = row.metrics, error_display_unit(row.unit), "!" if row.passed is False else " "
+            shares = percentage(m.nrmse), percent(m.fit, m.rmse), percent(m.vaf, m.rmse)
+            plain = [text.removesuffix(" %").replace("> ", ">") for text in shares]
+            used = NO_VALUE if row.passed is None else limit_share(row.limit_use)
+            used = f"FAIL {used}" if row.passed is False else used
+            cells = [unit.plain(m.maximum_error), unit.plain(m.rmse), *plain, used]
+            rows.append([f"{mark} {names[row.signal]}", *cells])
+    others = [row.limit_use for row in validation.rows if not row.listed]
+    below = [f"{len(others)} others: at most {limit_share(max(others))} of their limits"] if others else []
+    below.append("NRMSE: over the range of the reference, or a given one")
+    head = ["", "max error", "RMSE", "NRMSE %", "fit %", "VAF %", "of limit"]
+    table = TextTable(head, rows, title=f"Compared with: {validation.title}")
+    return Table(table, [*below, *validation.notes, *_remarks(validation)], only=TERMINAL)
 
 
 def _section(row: ValidatedSignal) -> str:
-    """Group, unit and metric of a signal, the beginning of the title of its section."""
+    """Group, unit and judged metric of a signal."""
     judged = NAMES[row.tolerance.metric] if row.tolerance else "not judged"
     return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {judged}"
-
-
-def _limits(rows: Sequence[ValidatedSignal]) -> str:
-    """The limit of a section, or the smallest and the largest one."""
-    if (tolerance := rows[0].tolerance) is None:
-        return ""
-    sizes = sorted(row.tolerance.limit for row in rows if row.tolerance)
-    ends = dict.fromkeys(judged_text(rows[0], size) for size in (sizes[0], sizes[-1]))
-    return f" {'<=' if tolerance.upper else '>='} {' to '.join(ends)}"
 
 
 def _remarks(validation: Validation) -> list[str]:
@@ -397,37 +337,7 @@ def _remarks(validation: Validation) -> list[str]:
     return [f"{note}: {', '.join(signal for _, signal in pairs)}" for note, pairs in notes.items()]
 
 
-def _cells(row: ValidatedSignal) -> tuple[str, ...]:
-    m, unit = row.metrics, error_display_unit(row.unit)
-    fits = (
-        "<-999" if v is not None and v < -999 else percent(v, m.rmse).removesuffix(" %").replace("> ", ">")
-        for v in (m.fit, m.vaf)
-    )
-    return (
-        unit.plain(m.maximum_error),
-        unit.plain(m.rmse),
-        percentage(m.nrmse).removesuffix(" %"),
-        *fits,
-        NO_VALUE if m.iso.overall is None else f"{m.iso.overall:.3f}",
-        {True: "pass", False: "FAIL", None: NO_VALUE}[row.passed],
-    )
-
-
-def _line(mark: str, name: str, name_width: int, cells: tuple[str, ...]) -> str:
-    """A row of the table; a name longer than `name_width` is in a line of its own."""
-    above, name = (f"{mark}{name}\n", "") if len(name) > name_width else ("", name)
-    numbers = " ".join(cell.rjust(width) for cell, width in zip(cells, _WIDTHS, strict=True))
-    return f"{above}{mark}{name.ljust(name_width)} {numbers}".rstrip()
-
-
 # ---- figures
-
-
-def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> Drawing:
-    """The figure of a validation with its title, drawn by matplotlib."""
-    from orchestrator.pages import plotting
-
-    return plotting.draw(replace(traces(spec, validation, trace), title=spec.title))
 
 
 def traces(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> TraceFigure:

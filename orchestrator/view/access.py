@@ -2,12 +2,10 @@
 
 Host     must be a loopback name, a numeric address or an allowed name; a page under a foreign name that
          resolves to this computer (DNS rebinding) is refused
-method   GET or HEAD without content, which could be slow to arrive; the page's own messages come over
-         websockets
+method   GET or HEAD; the page's own messages come over websockets
 Origin   if present, must be the page's own host, so that no foreign page opens a websocket
 site     a request that another site has caused (link, image, frame, script) is refused, by Sec-Fetch-Site. A
          browser that does not send it is judged by Referer
-purpose  nothing is built ahead, before the user has asked for it (Sec-Purpose: prefetch)
 token    if required: once in the address, `/?token=...`, then in a cookie that scripts cannot read and other
          sites do not send (HttpOnly, SameSite=Strict). A link with the token works on any site
 """
@@ -79,16 +77,10 @@ class Guard:
             return _refusal(http, 400, error)
         if http and asked["method"] not in ("GET", "HEAD"):
             return _refusal(http, 405, f"expected the method GET or HEAD, found {asked['method'][:20]}")
-        if headers.getlist("content-length") not in ([], ["0"]) or "transfer-encoding" in headers:
-            return _refusal(http, 413, "expected a request without content")
         if http and not has_cookie and any(map(self._is_token, asked.query_params.getlist("token"))):
             return _set_cookie(asked, rules)
         if error := _site_error(headers):
             return _refusal(http, 403, error)
-        # before the user has asked for it
-        purposes = headers.getlist("sec-purpose") + headers.getlist("purpose")
-        if any("prefetch" in purpose.lower() for purpose in purposes):
-            return _refusal(http, 503, "this page is not loaded ahead: open it")
         if rules.token and not has_cookie:
             return _refusal(http, 401, "open the address with its token, as printed by `harvester view`")
         return None

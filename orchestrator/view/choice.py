@@ -12,7 +12,6 @@ from orchestrator.drive.scene import Values, parameters, pose_names
 from orchestrator.drive.view_description import ViewDescription, view_description
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.ssp.load import configured, load
-from orchestrator.ssp.swap import with_swaps
 
 USUAL = "usual"  # label of the FMU in the system
 
@@ -87,23 +86,12 @@ def poses(system: Path) -> tuple[str, ...]:
     return pose_names(view_description(loaded).scene, loaded)
 
 
-def variants(system: Path) -> Mapping[str, Mapping[str, str]]:
-    """Component -> name -> label of the variants next to the system's file, for components that have any.
-
-    The FMU in the system comes first. If it equals one of the variants, its label has that name.
-    """
+def variants(system: Path) -> Mapping[str, list[str]]:
+    """Component -> names of its variants next to the system's file, after the FMU in the system itself."""
     folder = system.parent / VARIANTS
     names = sorted(path.stem for path in folder.glob("*.fmu")) if folder.is_dir() else []
-    labels = dict[str, Mapping[str, str]]()
-    loaded = load(system)
-    for component, original in loaded.components.items():
-        available = [n.removeprefix(f"{component}_") for n in names if n.startswith(f"{component}_")]
-        if available:
-            machines = {n: with_swaps(loaded, {component: n}) for n in available}
-            guids = {
-                n: machine.components[component].interface.model.token for n, machine in machines.items()
-            }
-            same = next((n for n in available if guids[n] == original.interface.model.token), "")
-            others = {n: n for n in available if n != same}
-            labels[component] = {USUAL: f"{same} ({USUAL})" if same else USUAL, **others}
-    return labels
+    offered = dict[str, list[str]]()
+    for component in load(system).components:
+        if own := [n.removeprefix(f"{component}_") for n in names if n.startswith(f"{component}_")]:
+            offered[component] = [USUAL, *own]
+    return offered

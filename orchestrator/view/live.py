@@ -398,13 +398,16 @@ def action(raw: str | bytes) -> Asked | None:
 
 def offered(now: MachineChoice) -> dict[str, Any]:
     """The choices before a start: systems in the same folder, poses, and variants by component."""
-    swap, own = dict(now.swap), {part: {name: name} for part, name in now.swap.items()}
+    parts = {
+        part: list(dict.fromkeys([*filter(None, [now.swap.get(part)]), *names]))
+        for part, names in variants(now.system).items()
+    }
     beside = sorted(path.name for path in now.system.parent.glob("*.ssp"))
     return {
         "systems": list(dict.fromkeys([now.system.name, *beside])),
         "poses": list(poses(now.system)),
-        "variants": {p: own.get(p, {}) | dict(labels) for p, labels in variants(now.system).items()},
-        "chosen": {"system": now.system.name, "pose": now.pose, "swap": swap},
+        "variants": parts,
+        "chosen": {"system": now.system.name, "pose": now.pose, "swap": dict(now.swap)},
     }
 
 
@@ -417,7 +420,7 @@ def next_choice(now: MachineChoice, asked: Asked) -> MachineChoice:
     if not isinstance(pose, str) or not isinstance(swap, dict):
         raise Problem("machine: expected a pose and the variants of components")
     for part, name in swap.items():
-        if not isinstance(name, str) or name not in offer["variants"].get(part, {}):
+        if not isinstance(name, str) or name not in offer["variants"].get(part, ()):
             raise Problem(f"{ascii(part)[:60]}: no variant {ascii(name)[:60]} is offered")
     others = {part: name for part, name in swap.items() if name != USUAL}
     return MachineChoice(Path(now.system).with_name(system), pose, others, now.set, now.fault)

@@ -81,8 +81,11 @@ def test_signals_are_listed(capsys, fmu_dir):
 
 
 def printed_json(capsys, *command):
+    """The rows of a list, which has the shape of all reports."""
     assert main([*command, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
+    title, verdict, passed, rows = json.loads(capsys.readouterr().out).values()
+    assert (verdict, passed) == (f"{len(rows)} {title.lower()}", None)
+    return rows
 
 
 def test_lists_as_data(capsys):

@@ -41,7 +41,7 @@ def test_the_command_keeps_what_was_learned_in_a_file(machine, tmp_path, capsys)
 
     def ridden(*more: str) -> list[float]:
         assert main(["track", system, *given, *more]) == 0
-        return [r["largest error [m]"] for r in json.loads((tmp_path / "tracking.json").read_text())]
+        return [r["largest error [m]"] for r in json.loads((tmp_path / "tracking.json").read_text())["runs"]]
 
     first, last = ridden(f"--learned={file}")
     assert f"{file}: 13 values that the controller has learned" in capsys.readouterr().out

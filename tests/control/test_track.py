@@ -76,7 +76,7 @@ def track(fmu_dir, tmp_path):
 
     def tracked(*arguments: str) -> tuple[int, list[dict]]:
         status = main(["track", str(fmu_dir / "harvester_control.ssp"), *arguments, "--out", str(tmp_path)])
-        return status, json.loads((tmp_path / "tracking.json").read_text())
+        return status, json.loads((tmp_path / "tracking.json").read_text())["runs"]
 
     return tracked
 

@@ -123,7 +123,7 @@ def test_a_path_beyond_a_stroke_is_a_warning_and_runs(machine, tmp_path, capsys)
     assert told in out
     assert out.index(told) < out.index("largest [mm]")
     assert "the path leads beyond the end of a stroke, from" in out
-    (run_,) = json.loads((tmp_path / "tracking.json").read_text())
+    (run_,) = json.loads((tmp_path / "tracking.json").read_text())["runs"]
     assert run_["largest uses of limits"]["controller.stroke_use"] > 1
 
 

@@ -159,7 +159,7 @@ def test_findings_that_are_judged_together_are_told_so():
     for found, names in (([gain, band], ["gain"]), ([gain, leak], ["leak"]), ([leak], ["leak"])):
         told = Diagnosis("log", found, None, ())
         assert [f.name for f in told.broken] == names
-        assert told.verdict.startswith("1 found")
+        assert told.verdict.startswith("1 fault found")
         assert ("by its own interval it may be healthy" in told.verdict) == (names == ["gain"])
 
 

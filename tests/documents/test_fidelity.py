@@ -227,7 +227,7 @@ def test_the_page_on_control_tells_the_errors_of_the_load_sensing_machine(built,
     ideal = ["--set=valve_actuation.hysteresis=0", "--set=controller.hysteresis=0"]
     arguments = [*swaps, *ideal, "--no-compare", "--set=manipulator.head_mass=900", "--out", str(tmp_path)]
     assert main(["track", str(built / "harvester_control.ssp"), *arguments]) == 0
-    runs = json.loads((tmp_path / "tracking.json").read_text())
+    runs = json.loads((tmp_path / "tracking.json").read_text())["runs"]
     found = [1e3 * r[f"{kind} error [m]"] for r in runs for kind in ("largest", "RMS")]
     row = r"\|900 kg\|([\d.]+), ([\d.]+)\|[^|]*\|([\d.]+), ([\d.]+)\|"
     assert all(abs(a - b) < 0.11 for a, b in zip(found, told("docs/control.md", row), strict=True))

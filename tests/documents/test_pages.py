@@ -24,6 +24,7 @@ from orchestrator.pages import figures
 from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, pack, plot
 from orchestrator.results.comparison import compare
 from orchestrator.results.comparison_report import report as comparison
+from orchestrator.results.diagnosis import Diagnosis, Finding
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.validation import validate
 from orchestrator.results.validation_report import validation_report
@@ -54,14 +55,21 @@ def validated() -> str:
     reference = Recording(TIME, known.signals, known.units, Path("ref.csv"), **about)
     panels = PanelSpec("Angle", ("arm.angle",)), PanelSpec("Pressure", ("pump.pressure",), ("head",))
     spec = FigureSpec("Arm", panels)
-    checked = validate(run(0.01), reference, rate=False)
-    return validation_report("Arm", checked, (spec,), run(0.01), {"step [s]": 0.001}).html()
+    checked = validate(run(0.01), reference)
+    return validation_report("Arm", checked, (spec,), run(0.01), {"facts": {"step [s]": 0.001}}).html()
 
 
 def studied() -> str:
     """A study with bands over time."""
     found = results(ishigami, ISHIGAMI, "saltelli", 32)
     return study_report(found, analyse(found)).html()
+
+
+def diagnosed() -> str:
+    """A diagnosis with a fault, its interval and what it is in a healthy machine."""
+    state = np.where(TIME > 2, 1.0, np.where(TIME > 1, 0.0, -1.0))
+    leak = Finding("leak", "Leakage", "m2", "hose", TIME, 1e-6 * TIME, np.full_like(TIME, 1e-7), state)
+    return Diagnosis("monday.csv", [leak], None, ()).report().html()
 
 
 def identified() -> str:
@@ -76,6 +84,7 @@ PAGES: dict[str, Callable[[], str]] = {
         compare({"usual": run(0.0), "other": run(0.01), "third": run(0.02)})
     ).html(),
     "study": studied,
+    "diagnosis": diagnosed,
     "identification": identified,
 }
 

@@ -35,7 +35,7 @@ def file(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[s
     def report() -> Path:
         default = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
         experiment = Experiment(fmu_dir / "harvester.ssp", default, options={"stop": 1.0})
-        validate_system(experiment, folder, rate=False)
+        validate_system(experiment, folder)
         return folder / "report.html"
 
     def replay() -> Path:

@@ -21,7 +21,7 @@ from fmus.crane.view import document
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.parameters import values
 from orchestrator.base import toml
-from orchestrator.drive.drawing import SCALE, STEPS
+from orchestrator.drive.drawing import MARKED, SCALE, STEPS, mark
 from orchestrator.drive.scene import data, parameters, sizes, start
 from orchestrator.drive.view_description import ViewDescription
 from orchestrator.ssp.load import load
@@ -178,3 +178,31 @@ def test_the_page_of_a_crane_shows_its_signals(name: str) -> None:
 
 def _view(crane: Any) -> ViewDescription:
     return toml.read_dataclass(ViewDescription, toml.read(Path("view.toml"), document(crane)))
+
+
+FAULTS = {
+    "boom_head_leak": {"boom_head"},
+    "swing_leak_a": {"swing_a"},
+    "stick_seal_leakage": {"stick_head", "stick_rod"},
+    "stick_rod_pressure_sensor": {"stick_rod"},
+    "boom_gain_up": {"boom_head", "boom_rod"},
+    "pump_pressure": set(),
+    "oil_air": set(),
+}
+
+
+@pytest.mark.parametrize(("fault", "channels"), FAULTS.items())
+def test_a_fault_is_marked_where_its_pressures_are(fault: str, channels: set[str]) -> None:
+    """Hose and chamber of one side, else both sides of the function; nothing for what is not drawn."""
+    plain, marked = (data(SCENE, OWN)["shapes"] for _ in range(2))
+    mark(marked, SCENE, [fault])
+    expected = [MARKED if one["channel"] in channels else one["colour"] for one in plain]
+    assert [one["colour"] for one in marked] == expected
+    assert not {one["channel"] for one in marked} & channels, "no pressure colours it any more"
+
+
+def test_a_sensor_of_an_angle_is_marked_on_the_body_that_it_measures() -> None:
+    """The column turns with the swing."""
+    shapes = data(SCENE, OWN)["shapes"]
+    mark(shapes, SCENE, ["swing_angle_sensor"])
+    assert {one["body"] for one in shapes if one["colour"] == MARKED} == {"column"}

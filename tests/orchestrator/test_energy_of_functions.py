@@ -60,7 +60,10 @@ def test_runs_stand_side_by_side(tmp_path, monkeypatch, capsys):
     assert printed.index("saw_pump") < printed.index("lift") < printed.index("total")
     assert (tmp_path / "build" / "energy.png").read_bytes().startswith(b"\x89PNG")
     assert main(["energy", "a.csv", "--stop", "1", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["a"]
+    data = json.loads(capsys.readouterr().out)
+    assert list(data) == ["title", "verdict", "passed", "runs", "unreliable"]
+    assert data["verdict"] == "a: 55 kJ, 4.55 % to the load"
+    found = data["runs"]["a"]
     assert found["heat"]["lift"]["meter in"] == pytest.approx(50e3 / 4)
     assert found["remainder"] == pytest.approx(energy(crane().window(0, 1), "-").remainder)
 

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from kit.mistakes import problem
 
-from orchestrator import Result, System, Trace, assemble, load, run
+from orchestrator import System, Trace, assemble, load, run
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
-from orchestrator.engine.result import BondEnergy, Card
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec
-from orchestrator.results.validate_system import card, describe, judge, parameters
+from orchestrator.results.validate_system import describe, judge, parameters
 
 PROVENANCE = '[parameters.factor]\nvalue = 1.0\nunit = "1"\nsource = "assumed"\nnote = "a free choice"\n'
 
@@ -37,7 +36,7 @@ def judged(fmu, ramp, reference, out, layout=None, factor=2.0):
     """Run the gain and judge it; returns the validation and the report's data."""
     result = run(str(fmu), ramp, step=0.1, set={"gain.factor": factor})
     facts = {"system": "gain.fmu", "steps asked for": 10}
-    validation, _, html, data = judge(result, reference, layout or Layout(), out, facts, rate=False)
+    validation, _, html, data = judge(result, reference, layout or Layout(), out, facts)
     assert html.read_text(encoding="utf-8").startswith("<!")
     return validation, json.loads(data.read_text(encoding="utf-8"))
 
@@ -99,21 +98,6 @@ def test_the_machine_is_described_by_its_files(system):
         assert told["text"]
 
 
-def test_the_card_in_the_report(oscillator):
-    """Times and steps, and the energies of the power bonds by name: 2 s took 0.8 s, and lost 3 J of 40 J."""
-    bonds = (BondEnergy("boom", -3.0, 3.0, 40.0), BondEnergy("idle", 0.0, 0.0, 0.0))
-    known = Card(master="jacobi", step=1e-2, steps=200, simulated=2.0, wall=0.8, bonds=bonds)
-    assert card(Result(oscillator, Trace(np.zeros(1), {}), known)) == {
-        "wall time [s]": 0.8,
-        "real-time factor": 2.5,
-        "steps": 200,
-        "energy residual of the power bonds, share of the exchanged energy": {
-            "boom": "-7.5e-02 (-3 J of 40 J)",
-            "idle": "no exchange",
-        },
-    }
-
-
 def test_a_layout_gives_title_and_figures(fmus, ramp, reference, tmp_path):
     """Instead of the defaults, one figure per signal; a layout for another system is told."""
     figures = (FigureSpec("Both", (PanelSpec("In", ("gain.u",)), PanelSpec("Out", ("gain.y",)))),)
@@ -131,5 +115,5 @@ def test_a_system_in_memory_can_be_judged(fmus, reference, tmp_path):
     """Also one of two components, without a scenario."""
     system: System = assemble({"s": fmus["source"], "gain": fmus["gain"]}, ["s.y -> gain.u"])
     result = run(system, step=0.1, stop=1.0)
-    validation, *_ = judge(result, reference, Layout(), tmp_path, {}, rate=False)
+    validation, *_ = judge(result, reference, Layout(), tmp_path, {})
     assert [row.signal for row in validation.failed] == ["gain.y"]

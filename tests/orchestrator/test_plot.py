@@ -13,7 +13,6 @@ from kit.mistakes import problem, table
 from orchestrator import Problem, Trace, assemble, read_trace, run, validate, write_trace
 from orchestrator.__main__ import main
 from orchestrator.engine.result import newest_trace
-from orchestrator.pages import plotting
 
 TIME = np.linspace(0.0, 1.0, 101)
 
@@ -94,14 +93,13 @@ def test_runs_in_one_figure_have_the_colours_of_their_signals():
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """An empty working directory without a display."""
+    """An empty working directory."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("DISPLAY", raising=False)
     return tmp_path
 
 
 def test_plot_draws_the_newest_trace_to_a_file(here, fmus, capsys):
-    """Without a display the picture goes to build/plot.png, and a line says so."""
+    """On a page, or as a picture in the format of its name."""
     assert main(["plot"]) == 2
     assert "build: expected the trace of a run, got none" in capsys.readouterr().err
     assert main(["run", str(fmus["mass_b"]), "--stop", "0.1", "--out", "build/new.mat"]) == 0
@@ -113,8 +111,10 @@ def test_plot_draws_the_newest_trace_to_a_file(here, fmus, capsys):
     assert main(["plot"]) == 0
     told = capsys.readouterr().out
     assert "signals of build/new.mat; choose others with --signals PATTERN" in told
-    assert "no display for a window; picture: build/plot.png" in told
-    assert (here / "build/plot.png").read_bytes().startswith(b"\x89PNG")
+    assert "page: build/plot.html" in told
+    assert 'aria-label="new"' in (here / "build/plot.html").read_text(encoding="utf-8")
+    assert main(["plot", "--out", "a.png"]) == 0
+    assert (here / "a.png").read_bytes().startswith(b"\x89PNG")
     assert main(["plot", "build/new.mat", "build/old.mat", "--out", "a/b.svg"]) == 0
     picture = Path("a/b.svg").read_text(encoding="utf-8")
     assert picture.startswith("<?xml")
@@ -123,17 +123,6 @@ def test_plot_draws_the_newest_trace_to_a_file(here, fmus, capsys):
     assert Path("b.pdf").read_bytes().startswith(b"%PDF")
     assert main(["plot", "--out", "a.jpg"]) == 2
     assert "a.jpg: expected a file name ending in .png, .svg or .pdf" in capsys.readouterr().err
-
-
-def test_with_a_display_a_window_opens(here, monkeypatch, capsys):
-    """Then no file is written."""
-    write_trace(waves(a__x="m"), "t.parquet")
-    shown = []
-    monkeypatch.setattr(plotting, "show", lambda figure, title: shown.append((figure, title)) or True)
-    assert main(["plot", "t.parquet"]) == 0
-    assert [title for _, title in shown] == ["t"]
-    assert "picture" not in capsys.readouterr().out
-    assert list(here.iterdir()) == [here / "t.parquet"]
 
 
 def test_a_matlab_file_has_structs_of_components_and_units(tmp_path):
@@ -216,8 +205,8 @@ def test_validate_takes_data_frames(body):
     """Reference and run, in the units of the run."""
     result = run(body, RAMP, stop=1.0)
     frame = result.to_pandas()[["body.x"]]
-    (row,) = validate(result, frame, rate=False).rows
+    (row,) = validate(result, frame).rows
     assert (row.unit, row.metrics.rmse) == (result.trace.units["body.x"], 0.0)
-    (row,) = validate(frame, frame + 2, rate=False).rows
+    (row,) = validate(frame, frame + 2).rows
     # 1e-12: rounding of a mean of 1001 equal numbers
     assert row.metrics.rmse == pytest.approx(2.0, rel=1e-12)

@@ -5,7 +5,6 @@ import re
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from orchestrator.base import files
 from orchestrator.base.options import declarations
 from orchestrator.data.trace import as_trace
 from orchestrator.engine.arguments import DEFAULT_ACCURACY, AccuracyArguments, RunArguments
-from orchestrator.pages.plotting import shown_at_end
 
 TIME = np.linspace(0.0, 2.0, 201)
 SIGNALS = {"arm.boom_speed": np.sin(TIME), "arm.boom_angle": 1 - np.cos(TIME), "oil.boom_speed": TIME}
@@ -104,21 +102,6 @@ def test_a_comparison_has_a_picture_and_a_table():
     assert not found.equal("b", found.against["b"]["arm.boom_angle"])
 
 
-@pytest.mark.parametrize("quiet", [True, False])
-def test_a_cell_that_ends_with_a_semicolon_shows_the_figure_once(quiet, monkeypatch):
-    """IPython shows the value of a cell itself unless it ends so."""
-    waiting, shown = [], []
-    events = SimpleNamespace(register=lambda _, call: waiting.append(call))
-    events.unregister = lambda _, call: waiting.remove(call)
-    shell = SimpleNamespace(kernel=1, events=events, displayhook=SimpleNamespace(quiet=lambda: quiet))
-    ipython = SimpleNamespace(get_ipython=lambda: shell, display=SimpleNamespace(display=shown.append))
-    monkeypatch.setitem(sys.modules, "IPython", ipython)
-    assert shown_at_end("figure") == "figure"
-    waiting[0](None)
-    assert shown == ["figure"] * quiet
-    assert waiting == []
-
-
 def test_a_name_is_found_from_any_folder_of_a_checkout(built, tmp_path, monkeypatch, capsys):
     """A notebook runs in its own folder; without FMUs the message says where it looked and how to build."""
     monkeypatch.chdir(tmp_path)
@@ -153,7 +136,7 @@ def short():
 
 def test_what_a_cell_ends_with_is_short(result, built):
     """At most five lines and 600 characters, however many signals, runs or components there are."""
-    validation = validate(result, result.trace, rate=False)
+    validation = validate(result, result.trace)
     shown = [
         *(result, result.trace, result.card, result.system, validation, validation.rows[0]),
         *(fmus.PARTS, fmus.HARVESTER, fmus.values(fmus.HARVESTER), linearize(built / "harvester.ssp")),

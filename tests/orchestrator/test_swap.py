@@ -218,7 +218,7 @@ def validated(reference="m.csv", scenario=None, default=("none.csv", "none.toml"
     own = {name: options.pop(name) for name in [*options] if name in Experiment.__dataclass_fields__}
     system, options = Path("build/harvester.ssp").resolve(), options | {"step": 0.5}
     experiment = Experiment(system, tuple(map(Path, default)), *files, options=options, **own)
-    return validate_system(experiment, Path("out"), rate=False)[1]
+    return validate_system(experiment, Path("out"))[1]
 
 
 RESULT = '[signals.result]\nunit = "m"\n'

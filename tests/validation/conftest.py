@@ -46,8 +46,8 @@ def folder(tmp_path: Path, written: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def outcome(written: Path, trace: Trace) -> Validation:
-    """The run compared with the reference, without the slow ISO rating."""
-    return validate(trace, read_recording(written / "ref.csv"), rate=False)
+    """The run compared with the reference."""
+    return validate(trace, read_recording(written / "ref.csv"))
 
 
 @pytest.fixture

@@ -45,7 +45,7 @@ def test_limit_in_the_files_unit(outcome: Validation, edited: Edit, trace: Trace
     """A limit of 2 bar holds for 1 bar of error, a limit of 0.9 bar does not, and the whole run fails."""
     assert outcome.passed
     assert outcome["pump.pressure"].tolerance == Tolerance("maximum", 2e5)
-    strict = validate(trace, read_recording(edited("limit = 2.0", "limit = 0.9")), rate=False)
+    strict = validate(trace, read_recording(edited("limit = 2.0", "limit = 0.9")))
     assert not strict.passed
     assert [row.signal for row in strict.failed] == ["pump.pressure"]
     assert strict.verdict == "fail: 1 of 2 signals within their limits"
@@ -56,7 +56,7 @@ def test_compares_at_the_coarser_samples(outcome: Validation) -> None:
     assert len(outcome["shaft.angle"].time) == 201
     assert outcome.notes == ("compared at the 201 samples of the reference, 0 to 2 s",)
     fine = np.linspace(0, 1, 101)
-    found = validate(metres(fine[::20], fine[::20]), made(fine, fine), rate=False)
+    found = validate(metres(fine[::20], fine[::20]), made(fine, fine))
     assert len(found["a.x"].time) == 6
     assert found["a.x"].metrics.maximum_error < 1e-15  # a straight line is interpolated exactly
 
@@ -68,7 +68,7 @@ def test_time_offset_aligns_a_shifted_recording(edited: Edit, trace: Trace) -> N
     angle = np.degrees(trace["shaft.angle"][250::10])
     table = pd.DataFrame({"time": t - 0.25, "shaft.angle": angle, "pump.pressure": 100.0})
     table.to_csv(folder / "ref.csv", float_format="%.12g", index=False)
-    found = validate(trace, read_recording(folder / "ref.csv"), rate=False)
+    found = validate(trace, read_recording(folder / "ref.csv"))
     assert found["shaft.angle"].metrics.maximum_error < 1e-11  # 12 digits in the CSV
     assert found.window == pytest.approx((0.25, 2.0))
     told = "only a part was compared: the run covers 0 to 2 s; the reference covers 0.25 to 2 s"
@@ -79,12 +79,12 @@ def test_window_narrows_the_comparison() -> None:
     """Outside nothing counts, so a wild start does no harm; a last time that is rounded is inside."""
     t = np.linspace(0, 10, 101)
     run = metres(t, np.where(t < 2, 99.0, t))
-    found = validate(run, made(t, t, start=2.0, stop=8.0), rate=False)
+    found = validate(run, made(t, t, start=2.0, stop=8.0))
     assert found.window == (2.0, 8.0)
     assert found["a.x"].metrics.maximum_error == 0
     assert "only a part was compared" in found.notes[1]
     run, rounded = metres(np.arange(4) * 0.1, np.arange(4.0)), np.array([0.0, 0.1, 0.2, 0.3])
-    found = validate(run, made(rounded, np.arange(4.0)), rate=False)
+    found = validate(run, made(rounded, np.arange(4.0)))
     assert (len(found["a.x"].time), len(found.notes)) == (4, 1)
 
 
@@ -92,7 +92,7 @@ def test_interpolation_is_said() -> None:
     """A 50 Hz reference meets a 200 Hz record as it is; of others a note says how many lie between."""
     run_time, time = np.arange(2101) * 5e-3, np.array([float(f"{k * 0.02:.9g}") for k in range(526)])
     rough = np.random.default_rng(0).standard_normal(len(run_time))
-    found = validate(metres(run_time, rough), made(time, rough[::4]), rate=False)
+    found = validate(metres(run_time, rough), made(time, rough[::4]))
     # times of the file are rounded in their last bit: an ulp of time times the slope of the noise
     assert found["a.x"].metrics.maximum_error < 1e-11
     assert len(found.notes) == 1
@@ -108,11 +108,11 @@ def test_nrmse_is_over_the_range_of_the_whole_reference() -> None:
     row = validate(metres(t[:200], moves[:200] + 1e-15), made(t, moves))["a.x"]
     assert row.metrics.normalised_by == 5.0
     assert row.metrics.nrmse == pytest.approx(2e-16)  # 1e-15 m over 5 m
-    assert (row.metrics.fit, row.metrics.vaf, row.metrics.iso.overall) == (None, None, None)
-    assert row.notes == ("the reference is constant in this window: no fit, VAF or ISO rating",)
+    assert (row.metrics.fit, row.metrics.vaf) == (None, None)
+    assert row.notes == ("the reference is constant in this window: no fit or VAF",)
     t = np.linspace(0, 10, 101)
     wild = np.where(t < 2, 99.0, t)
-    row = validate(metres(t[:50], t[:50]), made(t, wild, start=2.0), rate=False)["a.x"]
+    row = validate(metres(t[:50], t[:50]), made(t, wild, start=2.0))["a.x"]
     assert row.metrics.normalised_by == 8.0
 
 
@@ -133,18 +133,18 @@ def test_what_cannot_be_compared_is_refused(trace: Trace) -> None:
 
 def test_a_row_is_found_by_its_name_with_or_without_component(trace: Trace) -> None:
     """An unknown name is told with a similar one, and a name that two components have with both."""
-    found = validate(trace, trace, rate=False)
+    found = validate(trace, trace)
     assert found["angle"] is found["shaft.angle"]
     problem(lambda: found["angel"], r"^no signal angel in the validation; did you mean shaft\.angle\?$")
     two = Trace(trace.time, {"a.x": trace.time, "b.x": trace.time})
     with pytest.raises(KeyError, match=r"^x is in 2 components: a\.x, b\.x$"):
-        validate(two, two, rate=False)["x"]
+        validate(two, two)["x"]
 
 
 def test_missing_unit_of_the_run_is_said() -> None:
     """A run without unit is taken in the unit of the reference, and a note says so."""
     run = Trace(np.array([0.0, 1.0]), {"a.x": np.array([0.0, 2.0])})
-    row = validate(run, made(run.time, run["a.x"], "bar"), rate=False)["a.x"]
+    row = validate(run, made(run.time, run["a.x"], "bar"))["a.x"]
     assert row.notes == ("the run has no unit, 'bar' of the reference is assumed",)
     assert row.metrics.maximum_error == 0
 
@@ -160,11 +160,11 @@ def test_nan_in_the_run_is_refused(trace: Trace, folder: Path) -> None:
 
 @table(__file__, "metrics", "metric, good, bad")
 def test_every_metric_can_be_a_limit(metric: str, good: float, bad: float) -> None:
-    """Errors have an upper limit; fit, VAF and rating a lower one."""
+    """Errors have an upper limit; fit and VAF a lower one."""
     t = np.linspace(0, 6, 300)
     run = metres(t, np.sin(t) + 0.05)
     for limit, passed in ((good, True), (bad, False)):
-        found = validate(run, made(t, np.sin(t), limit=Tolerance(metric, limit)), rate=metric == "iso")
+        found = validate(run, made(t, np.sin(t), limit=Tolerance(metric, limit)))
         assert found.passed is passed
 
 
@@ -174,7 +174,7 @@ def test_relative_limit_needs_a_reference_off_zero() -> None:
     for base, passed in ((2.0, True), (0.0, False)):
         y = base + t
         run, limit = metres(t, y * 1.01 + (0 if base else 0.01)), Tolerance("maximum_relative", 0.02)
-        assert validate(run, made(t, y, limit=limit), rate=False).passed is passed
+        assert validate(run, made(t, y, limit=limit)).passed is passed
 
 
 def test_gaps_of_the_reference_are_left_out() -> None:
@@ -186,9 +186,8 @@ def test_gaps_of_the_reference_are_left_out() -> None:
     assert (len(row.time), row.notes[0]) == (92, "9 of 101 samples are in gaps of the reference, left out")
     # a straight line is interpolated exactly, but for rounding
     assert row.metrics.rmse == pytest.approx(0.5, rel=1e-12)
-    assert row.metrics.iso.overall is not None
     coarse = metres(t[::5], t[::5])
-    row = validate(coarse, made(t, values), rate=False)["a.x"]
+    row = validate(coarse, made(t, values))["a.x"]
     assert set(t[::5]) - set(row.time) == {t[35]}  # 0.30 s and 0.40 s have their samples
     assert row.metrics.maximum_error < 1e-15
     nothing = made(t, np.full(101, np.nan))
@@ -198,7 +197,7 @@ def test_gaps_of_the_reference_are_left_out() -> None:
 def test_without_limits_nothing_is_judged() -> None:
     """No limit, no verdict: the run is not called good, and it does not fail either."""
     t = np.array([0.0, 1.0])
-    found = validate(metres(t, t), made(t, t + 5), rate=False)
+    found = validate(metres(t, t), made(t, t + 5))
     told = "not judged: the reference has no limits (keys tolerance, or group and [tolerances])"
     assert (found.passed, found.judged, found.verdict) == (True, (), told)
 
@@ -266,7 +265,7 @@ def test_constant_outputs_are_judged_by_their_magnitude():
     assert {n: c.span for n, c in recording.criteria.items()} == {"other.still": 100.0, "other.plain": 3.0}
     for error, passed in ((1e-14, True), (1.1, False)):
         run = Trace(TIME, {n: v + error * np.sin(99 * TIME) for n, v in truth.trace.signals.items()})
-        assert validate(run, recording, rate=False).passed is passed
+        assert validate(run, recording).passed is passed
 
 
 def test_the_title_and_the_signals_compared():
@@ -275,4 +274,4 @@ def test_the_title_and_the_signals_compared():
     assert titles == ["Monolithic solution of the FMUs", "Co-simulation with a small error"]
     truth = solved("other", x=1.0, state=2.0)
     run = truth.trace.select(["other.x"])
-    assert [row.signal for row in validate(run, truth, rate=False).rows] == ["other.x"]
+    assert [row.signal for row in validate(run, truth).rows] == ["other.x"]

@@ -6,16 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit.mistakes import problem
 
-from orchestrator.results.metrics import ISO_MINIMUM, Metrics, Rating, iso_rating, measure
+from orchestrator.results.metrics import Metrics, measure
 
 TIME = np.array([0.0, 1.0, 2.0, 3.0])
 REFERENCE = np.array([0.0, 2.0, 4.0, 2.0])
 
 
 def numbers(simulation: np.ndarray, reference: np.ndarray = REFERENCE, span: float | None = None) -> Metrics:
-    """Metrics without the ISO rating, on a time axis of whole seconds."""
+    """Metrics on a time axis of whole seconds."""
     time = np.arange(len(reference), dtype=float)
-    return measure(time, simulation, reference, span=span, rate=False, where="ref.csv: x")
+    return measure(time, simulation, reference, span=span, where="ref.csv: x")
 
 
 def test_hand_computed_values() -> None:
@@ -74,7 +74,7 @@ def test_constant_reference_falls_back_to_its_magnitude() -> None:
     assert found.nrmse == pytest.approx(0.1)  # rounding only
     assert found.normalised_by == 5.0
     assert (found.fit, found.vaf) == (None, None)
-    assert found.notes == ("the reference is constant: NRMSE over its magnitude, no fit, VAF or ISO rating",)
+    assert found.notes == ("the reference is constant: NRMSE over its magnitude, no fit or VAF",)
     # neither has a pressure a range that only flickers in the last digit of its file
     assert numbers(np.full(4, 2e7), 2e7 + np.array([0.0, 1e-3, 0.0, -1e-3])).fit is None
 
@@ -97,44 +97,8 @@ def test_not_a_number_is_refused(bad: float) -> None:
     problem(lambda: numbers(REFERENCE, np.array([0.0, 1.0, bad, 0.0])), "in the reference at sample 2")
 
 
-def wave(delay: float = 0.0, gain: float = 1.0) -> np.ndarray:
-    """A decaying oscillation of 400 samples over 4 s."""
-    t = np.linspace(0, 4, 400) - delay
-    return gain * np.sin(4 * t) * np.exp(-t / 4)
-
-
-def test_iso_rating_tells_what_is_wrong() -> None:
-    """A delay costs phase, a wrong gain costs magnitude; test_iso18571.py has every part and their sum."""
-    t = np.linspace(0, 4, 400)
-    late, weak = iso_rating(t, wave(delay=0.2), wave()), iso_rating(t, wave(gain=0.8), wave())
-    # the standard allows a shift of 20 % of the 4 s: 0.2 s leave 0.75; to a sample of the 1000, 0.5 %
-    assert late.phase == pytest.approx(0.75, abs=0.005)
-    # magnitude (0.5 - 0.2) / 0.5 for an error of 20 %; time warping finds nearer partners, so it is more
-    assert weak.phase == 1
-    assert weak.magnitude is not None
-    assert 0.6 <= weak.magnitude < 0.9
-    assert iso_rating(t, wave(), wave()) == Rating(1, 1, 1, 1, 1)
-
-
-@pytest.mark.parametrize(
-    ("reference", "reason"),
-    [
-        (np.full(400, 3.0), "the reference is constant"),
-        (wave()[: ISO_MINIMUM - 1], "29 samples are fewer than 30"),
-    ],
-)
-def test_iso_says_why_it_does_not_rate(reference: np.ndarray, reason: str) -> None:
-    """Where the standard has no meaning, the rating is empty and gives the reason."""
-    rating = iso_rating(np.linspace(0, 4, len(reference)), reference + 0.1, reference)
-    assert rating == Rating(reason=reason)
-    assert rating.grade == "not rated"
-
-
-def test_grades_and_lengths() -> None:
-    """Grades begin above 0.94, 0.80 and 0.58; equal lengths of two samples at least are needed."""
-    grades = {0.95: "excellent", 0.94: "good", 0.7: "fair", 0.58: "poor"}
-    assert {value: Rating(overall=value).grade for value in grades} == grades
-    assert iso_rating(np.linspace(0, 4, 400), np.zeros(400), wave()).grade == "poor"
+def test_lengths() -> None:
+    """Equal lengths of two samples at least are needed."""
     line = problem(lambda: measure(TIME, REFERENCE[:3], REFERENCE, where="x"))
     assert "expected equal numbers of samples, at least 2, got 4, 3, 4" in line
     assert "got 1, 1, 1" in problem(lambda: measure(TIME[:1], REFERENCE[:1], REFERENCE[:1], where="x"))

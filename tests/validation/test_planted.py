@@ -30,8 +30,8 @@ def test_every_signal_of_a_run_has_a_limit(system):
 
 def test_the_reference_meets_itself_also_without_a_signal():
     """Without a planted error; a machine in one FMU lacks signals without label, which is noted."""
-    assert validate(PERFECT, REFERENCE, rate=False).passed
-    found = validate(PERFECT.select(n for n in PERFECT if n != "manipulator.tip_x"), REFERENCE, rate=False)
+    assert validate(PERFECT, REFERENCE).passed
+    found = validate(PERFECT.select(n for n in PERFECT if n != "manipulator.tip_x"), REFERENCE)
     assert "1 signals of the reference are not in the run: manipulator.tip_x" in found.notes
     assert len(found.rows) == len(REFERENCE.signals) - 1
 
@@ -39,7 +39,7 @@ def test_the_reference_meets_itself_also_without_a_signal():
 @pytest.mark.parametrize("name", DAMAGES)
 def test_a_damaged_run_fails(name):
     """In a run that is perfect otherwise."""
-    assert not validate(damaged(PERFECT, DAMAGES[name]), REFERENCE, rate=False).passed
+    assert not validate(damaged(PERFECT, DAMAGES[name]), REFERENCE).passed
 
 
 @pytest.mark.parametrize("name", shards.few([], PARAMETERS, shards.machine))

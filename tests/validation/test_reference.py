@@ -143,8 +143,8 @@ def test_parquet_and_matlab_are_compared_like_csv(folder: Path, trace: Trace, ki
         (folder / "ref.toml").write_text(text, encoding="utf-8")
         columns = {name.replace(".", "_"): cells[name].to_numpy() for name in cells}
         scipy.io.savemat(folder / "ref.mat", columns)
-    found = validate(trace, read_recording(folder / "ref.toml"), rate=False)
-    expected = validate(trace, csv, rate=False)
+    found = validate(trace, read_recording(folder / "ref.toml"))
+    expected = validate(trace, csv)
     assert found["pump.pressure"].metrics == expected["pump.pressure"].metrics
     assert found["shaft.angle"].notes == ("10 of 201 samples are in gaps of the reference, left out",)
     assert len(found["shaft.angle"].time) == 191
@@ -176,7 +176,7 @@ def test_written_trace_is_read_back(tmp_path: Path, trace: Trace) -> None:
     assert found.criterion("shaft.angle").tolerance == Tolerance("nrmse", 0.0005)
     assert found.criterion("pump.command").tolerance is None
     assert found.file_units["pump.pressure"] == "Pa"
-    outcome = validate(trace, found, rate=False)
+    outcome = validate(trace, found)
     assert outcome.passed
     # nine digits in the CSV
     np.testing.assert_allclose(outcome["pump.pressure"].reference, trace["pump.pressure"], rtol=1e-8)

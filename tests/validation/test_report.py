@@ -21,12 +21,13 @@ from validation.conftest import Edit
 from fmus.machine.build import data
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
+from orchestrator.engine.result import Card
 from orchestrator.pages import plotting
 from orchestrator.pages.figures import VENDOR
-from orchestrator.pages.plotting import decimate, png, svg
+from orchestrator.pages.plotting import decimate, draw, png, svg
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.validation import Validation, validate
-from orchestrator.results.validation_report import draw, validation_report
+from orchestrator.results.validation_report import traces, validation_report
 
 VOID = {"meta", "link", "br", "wbr", "input", "img"}
 
@@ -70,16 +71,14 @@ def contents(outcome: Validation, trace: Trace) -> dict[str, Any]:
         "validation": outcome,
         "figures": (FigureSpec("Shaft", rows), FigureSpec("Pump", pressure, caption="Taken at the <port>.")),
         "trace": trace,
-        "facts": {"system": "shaft.ssp", "communication step [s]": 1e-3, "stopped early": False},
-        "components": (pump,),
-        "parameters": (volume | {"source": "assumed", "changed": True},),
-        "card": {
-            "real-time factor": np.float64(31.25),
-            "energy residual [J]": {"shaft": 1e-3},
-            "order": None,
+        "run": {
+            "facts": {"system": "shaft.ssp", "share": np.float64(0.5), "of": {"stopped": False, "at": None}},
+            "components": (pump,),
+            "parameters": (volume | {"source": "assumed", "changed": True},),
+            "accuracy": Card("jacobi", 1e-2, 1e-2, 200, 2.0, 0.8),
+            "warnings": ("pump: pressure above 300 bar at 1.2 s",),
         },
         "machine": Markup("<p>machine</p>"),
-        "warnings": ("pump: pressure above 300 bar at 1.2 s",),
     }
 
 
@@ -119,7 +118,7 @@ def test_shows_what_ran_and_how_well(page: str, outcome: Validation) -> None:
     """Signals, units, limits, facts, FMUs, parameters, card and warnings are all in the text."""
     expected = [row.signal for row in outcome.rows]
     expected += ["Shaft &amp; pump", "✓ pass", "max. error ≤ 2 bar", "NRMSE ≤ 1 %", "Shaft &lt;angle&gt;"]
-    expected += ["shaft.ssp", "{1-2-3}", "Dead volume", "1 changed for this run", "31.25", "0.001"]
+    expected += ["shaft.ssp", "{1-2-3}", "Dead volume", "1 changed for this run", "2.5 times real time"]
     expected += ["pressure above 300 bar", "Taken at the &lt;port&gt;.", "compared at the 201 samples"]
     text = page.replace("<wbr>", "").lower()
     assert [one for one in expected if one.lower() not in text] == []
@@ -151,16 +150,16 @@ def test_json_has_the_same_numbers(files: Written, contents: dict[str, Any]) -> 
         assert (stored["signal"], stored["unit"], stored["passed"]) == (row.signal, row.unit, row.passed)
         for name in ("rmse", "nrmse", "fit", "maximum_error", "vaf"):
             assert stored["metrics"][name] == getattr(row.metrics, name)
-        assert stored["metrics"]["iso"]["reason"] == "not requested"
     assert data["signals"][1]["tolerance"]["limit"] == 2e5
-    assert data["accuracy"] == contents["card"]  # a number of NumPy is one
+    assert data["facts"] == contents["run"]["facts"]  # a number of NumPy is one
+    assert data["accuracy"]["steps"] == 200
     assert data["parameters"][0]["value"] == 1.5e-3
     assert data["reference"]["file"] == "ref.csv"
 
 
 def test_a_missed_limit_is_plain_to_see(edited: Edit, trace: Trace, files: Written) -> None:
     """A failed run says so at the top, in the table and in the figure, in words and not by colour alone."""
-    failed = validate(trace, read_recording(edited("limit = 2.0", "limit = 0.9")), rate=False)
+    failed = validate(trace, read_recording(edited("limit = 2.0", "limit = 0.9")))
     page, data = files(validation=failed)
     expected = ["✗ fail", "1 of 2 signals within their limits", "✗ 1 bar"]
     expected += ['<span class="mark fail">fail</span>', "Uses 111.2 % of its limit"]
@@ -173,7 +172,9 @@ def test_a_simulated_reference_is_told_as_one(page: str, outcome: Validation, fi
     line = "Reference: a simulation of the same equations."
     assert line not in page  # a measurement
     simulated = replace(outcome, about={**outcome.about, "kind": "simulation"})
-    other, data = files(validation=simulated, notes=("no --scenario given",), figures=())
+    other, data = files(
+        validation=simulated, run={"notes": ("no --scenario given",), "warnings": ("hot",)}, figures=()
+    )
     assert line in other
     assert "No --scenario given." in other
     assert other.index('id="motion"') < other.index("Warnings of the run")
@@ -242,7 +243,7 @@ def test_decimation_keeps_the_extremes_and_the_ends(values: list[float], buckets
 @pytest.fixture(scope="module")
 def figure(outcome: Validation, trace: Trace) -> Figure:
     """The figure of SPEC, drawn."""
-    made = draw(SPEC, outcome, trace)
+    made = draw(traces(SPEC, outcome, trace))
     made.draw_without_rendering()
     return made
 
@@ -261,8 +262,8 @@ def test_signals_that_are_not_judged_have_no_error_strip(edited: Edit, trace: Tr
     """Unless the reference states no limits at all: then the errors are what there is to see."""
 
     def strips(old: str, new: str) -> int:
-        judged = validate(trace, read_recording(edited(old, new)), rate=False)
-        return sum("error" in axes.get_ylabel() for axes in draw(SPEC, judged, trace).axes)
+        judged = validate(trace, read_recording(edited(old, new)))
+        return sum("error" in axes.get_ylabel() for axes in draw(traces(SPEC, judged, trace)).axes)
 
     assert strips('angle = { metric = "nrmse", limit = 0.01 }', 'angle = "none"') == 1
     assert strips('pressure = { metric = "maximum", limit = 2.0 }', 'pressure = "none"') == 2
@@ -288,7 +289,7 @@ def test_unknown_signal_is_refused(outcome: Validation, trace: Trace) -> None:
     """The message contains the figure and its unknown signal."""
     spec = FigureSpec("Shaft", (PanelSpec("Angle", ("shaft.angel",)),))
     expected = "figure 'Shaft': expected a signal of the comparison or of the run, got 'shaft.angel'"
-    assert expected in problem(lambda: draw(spec, outcome, trace))
+    assert expected in problem(lambda: traces(spec, outcome, trace))
 
 
 def test_an_embedded_figure_is_reproducible_and_follows_the_page(outcome, trace, monkeypatch) -> None:
@@ -296,7 +297,7 @@ def test_an_embedded_figure_is_reproducible_and_follows_the_page(outcome, trace,
 
     Inline it has colours by variable, ids of its own and text as text; with too many points it is a picture.
     """
-    one, other = (draw(ANGLE, outcome, trace) for _ in range(2))
+    one, other = (draw(traces(ANGLE, outcome, trace)) for _ in range(2))
     assert svg(one) == svg(other)
     text = str(plotting.embed(one, "f7-", "Shaft"))
     assert text.startswith("<svg")

@@ -1,6 +1,5 @@
 """Who gets an answer from a running server: hosts, origins, tokens."""
 
-import socket
 from collections.abc import Iterator
 from functools import partial
 
@@ -77,14 +76,6 @@ def test_other_methods(local: Server, method: str) -> None:
     answer = httpx.request(method, local.http, timeout=LONG)
     assert answer.status_code == 405
     assert not [name for name in answer.headers if name.startswith("access-control")]
-
-
-@pytest.mark.parametrize("header", ["Content-Length: 1000000", "Transfer-Encoding: chunked"])
-def test_content(local: Server, header: str) -> None:
-    """A request with content, which could be slow to arrive, is refused before it arrives."""
-    with socket.create_connection(("127.0.0.1", local.port), LONG) as sent:
-        sent.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n{header}\r\n\r\n".encode())
-        assert sent.recv(100).startswith(b"HTTP/1.1 413 ")
 
 
 def test_link_with_the_token(remote: Server) -> None:

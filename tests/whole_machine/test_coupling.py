@@ -33,7 +33,7 @@ def outcome(
 ) -> Validation:
     scenario = data("scenarios/work_cycle.csv")
     result = run(system, scenario, master=master, step=step, stop=stop, **more)
-    return validate(result.trace, REFERENCE, rate=False)
+    return validate(result.trace, REFERENCE)
 
 
 def worst(validation: Validation, group: str) -> float:
@@ -44,7 +44,7 @@ def test_default_run_meets_the_bars_over_the_whole_work_cycle(system):
     """Default master and step, led by the levers: speeds 0.5 %, angles 0.05 %, pressures 1 % NRMSE."""
     result = run(system)
     assert result.card.step >= 5e-4
-    validation = validate(result.trace, REFERENCE, rate=False)
+    validation = validate(result.trace, REFERENCE)
     assert validation.passed, validation.verdict
     for group, bar in (("speed", 5e-3), ("angle", 5e-4), ("pressure", 1e-2)):
         assert worst(validation, group) < bar
@@ -100,7 +100,7 @@ def test_rate_ports_gain_two_orders_of_magnitude_at_1_ms(system):
 def test_hermite_meets_its_bars_over_the_whole_work_cycle(system, step, scenario, speed, pressure):
     """Led by the FMU of the levers with the corners of its ramps, or by the scenario."""
     result = run(system, data(scenario) if scenario else None, master="hermite", step=step)
-    found = validate(result.trace, REFERENCE, rate=False)
+    found = validate(result.trace, REFERENCE)
     assert worst(found, "speed") < speed
     assert worst(found, "angle") < speed / 10
     assert worst(found, "pressure") < pressure
@@ -120,7 +120,7 @@ def test_one_pass_without_rollback_holds_where_held_inputs_diverge(system):
     result = run(stuck, data("scenarios/work_cycle.csv"), master="hermite", step=5e-3)
     assert "hermite makes one pass per step" in result.card.text()
     assert result.card.passes == result.card.steps == 8400
-    found = validate(result.trace, REFERENCE, rate=False)
+    found = validate(result.trace, REFERENCE)
     assert all(worst(found, group) < 5e-3 for group in ("speed", "pressure"))
     # arm and cylinder find it in the same step, and with threads either may be the first
     with pytest.raises(RunFailed, match=r"stick_(angle .*|position\") is violated"):

@@ -176,7 +176,7 @@ def test_fmu_meets_the_reference_within_ten_times_its_tolerance(fmu_dir, toleran
     options = {"step": 1e-3, "record_step": 0.02, "tolerance": tolerance}
     found = run(fmu_dir / "harvester.fmu", data("scenarios/work_cycle.csv"), **options)
     reference, trace = comparable(found.system, found.trace, reference, Layout())
-    outcome = validate(trace, reference, rate=False)
+    outcome = validate(trace, reference)
     # the bar of the issue; the reference has nine digits, so that 1e-7 of range is still seen
     assert max(row.metrics.nrmse for row in outcome.rows) <= 10 * tolerance
     assert not found.messages

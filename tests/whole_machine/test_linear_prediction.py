@@ -19,7 +19,7 @@ REFERENCE = read_recording(data("reference/work_cycle.csv"))
 
 
 def worst(result, group: str) -> float:
-    rows = validate(result.trace, REFERENCE, rate=False).rows
+    rows = validate(result.trace, REFERENCE).rows
     return max(row.metrics.nrmse for row in rows if row.group == group)
 
 

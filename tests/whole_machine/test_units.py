@@ -18,7 +18,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.units import doubt
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.engine.job import Job
-from orchestrator.results.comparison_report import text
+from orchestrator.results.comparison_report import report
 from orchestrator.ssp.plausible import doubtful_signals
 from orchestrator.ssp.system import System
 from orchestrator.studies.parameter_study import prepare as prepare_study
@@ -202,9 +202,9 @@ def experiments(systems):
 
 def test_another_experiment_is_told_before_the_tables(systems, experiments):
     """Other commands and another end; another mass alone is no other experiment."""
-    lines = text(compare(experiments)).splitlines()
+    lines = report(compare(experiments)).text().splitlines()
     commands = "boom_stick.boom_command, boom_stick.stick_command, swing.swing_command"
-    told = f"cycle is another experiment than boom: other commands ({commands}), ends at 2.7 s, not 2.2 s"
+    told = f"another experiment than boom: cycle has other commands ({commands}), its end at 2.7 s, not 2.2 s"
     assert lines[0] == f"warning: {told}"
     assert lines[1] == ""
     moved = run(systems[""], "boom_up", set={"manipulator.initial_swing_angle": 0.1}, stop=2.2, isolate=False)
@@ -224,8 +224,9 @@ def test_a_signal_that_hardly_moves_is_not_ranked_by_noise(experiments):
     # nominal 1 rad/s, that of FMI; the speed is 0 but for rounding
     assert row.metrics.normalised_by == 1e-3
     assert row.metrics.nrmse < 1e-9
-    assert "* the reference hardly moves: NRMSE over 0.1 % of the nominal value" in text(comparison)
-    assert "*" not in text(compare(dict.fromkeys(("boom", "again"), experiments["boom"])))  # all rows: equal
+    assert "* the reference hardly moves: NRMSE over 0.1 % of the nominal value" in report(comparison).text()
+    again = compare(dict.fromkeys(("boom", "again"), experiments["boom"]))
+    assert "*" not in report(again).text()  # all rows: equal
     row = validate(experiments["heavy"], experiments["boom"])["manipulator.swing_speed"]
     assert row.metrics.nrmse < 1e-9
     assert row.notes[0].startswith("the reference hardly moves")

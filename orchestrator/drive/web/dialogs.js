@@ -53,8 +53,8 @@ export class Dialogs {
     const same = (names) => Object.fromEntries(names.map((name) => [name, name]));
     const fields = { System: [same(systems), chosen.system] };
     if (poses.length) fields.Pose = [{ "": "as in the system", ...same(poses) }, chosen.pose];
-    const parts = Object.entries(variants).map(([part, labels]) => [part, labels, `${part[0].toUpperCase()}${part.slice(1).replace("_", " and ")}`]);
-    for (const [part, labels, label] of parts) fields[label] = [labels, chosen.swap[part] ?? Object.keys(labels)[0]];
+    const parts = Object.entries(variants).map(([part, names]) => [part, names, `${part[0].toUpperCase()}${part.slice(1).replace("_", " and ")}`]);
+    for (const [part, names, label] of parts) fields[label] = [{ ...same(names), usual: "as in the system" }, chosen.swap[part] ?? "usual"];
     this.open("Machine", "Start", fields, (values) => {
       const swap = Object.fromEntries(parts.map(([part, , label]) => [part, values[label]]));
       this.source.do("start", { system: values.System, pose: values.Pose ?? "", swap });

@@ -5,6 +5,8 @@ import { Rig } from "drive/rig.js";
 
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const LAYERS = [0, 1, 2]; // of the branches of a tree
+const TREES = 46;
+const GOLDEN = Math.PI * (3 - Math.sqrt(5)); // rad; the golden angle spreads points evenly
 const FIELD = 34; // degrees
 const TIP = "tip"; // the view that follows the tip
 const EDGE = 0.9; // share of the half picture that the machine may fill before the camera moves away
@@ -171,12 +173,17 @@ function surroundings(data) {
   const grid = new THREE.GridHelper(48, 48, data.axis, data.grid).rotateX(Math.PI / 2);
   grid.position.z = 0.006;
   const floor = new THREE.Mesh(new THREE.CircleGeometry(90, 48), new THREE.MeshBasicMaterial({ color: data.floor }));
-  low.add(forest(data.trees), floor, grid);
+  low.add(forest(), floor, grid);
   root.add(new THREE.HemisphereLight(0xffffff, 0xaab0a4, 2.1), sun, low);
   return root;
 }
 
-function forest(trees) {
+// trees around the machine, 13 to 32 m away
+function forest() {
+  const trees = Array.from({ length: TREES }, (_, k) => {
+    const [angle, away, size] = [k * GOLDEN, 13 + 19 * Math.sqrt((k + 0.5) / TREES), 0.75 + (0.5 * ((k * 7) % 11)) / 10];
+    return [away * Math.cos(angle), away * Math.sin(angle), 7.5 * size, 1.5 * size];
+  });
   const crowns = new THREE.ConeGeometry(1, 1, 6, 1, true).rotateX(Math.PI / 2).translate(0, 0, 0.5);
   const many = new THREE.InstancedMesh(crowns, new THREE.MeshLambertMaterial({ flatShading: true }), LAYERS.length * trees.length);
   trees.forEach(([x, y, height, radius], k) => {

@@ -6,6 +6,7 @@
   const DIGITS = 20; // bits of a value, as in figures.py
   const NONE = 2 ** DIGITS - 1; // the place of a missing value
   const MARGIN = 0.08; // of the range of the values, above and below
+  const LAST = 34; // px below the plot for ticks and the name of the axis
   const AXIS = 62; // px beside the plot for the labels of its ticks
   const SUPERSCRIPT = "⁰¹²³⁴⁵⁶⁷⁸⁹";
   const FONT = '11px system-ui, "Segoe UI", sans-serif';
@@ -69,6 +70,9 @@
     const plain = places <= 5 && largest < 1e5;
     return values.map((value) => (plain ? String(exact(value)).replace("-", "−") : typeset(exact(value), 4)));
   }
+
+  // ticks with words
+  const worded = (words) => ({ splits: () => [...words.keys()].sort((a, b) => a - b), values: (_, at) => at.map((value) => words.get(value)) });
 
   // a sample of the line, so that it is known by more than its colour
   function swatch(button, line) {
@@ -144,7 +148,7 @@
       const head = element("div", this.live, { class: chart.strip ? "head strip" : "head" });
       if (!chart.strip) this.panel = this.charts.length;
       element("b", head, {}, chart.label);
-      element("span", head, { class: "soft" }, `[${chart.unit || "1"}]`);
+      if (!chart.words) element("span", head, { class: "soft" }, `[${chart.unit || "1"}]`);
       const lines = chart.lines.map((line) => ({ ...line, panel: this.panel }));
       const named = chart.strip ? [] : lines.filter((one, k) => one.name && lines.findIndex((l) => l.name === one.name) === k);
       for (const line of named) this.toggle(head, line.name, line, `${line.panel} ${line.name}`);
@@ -169,7 +173,7 @@
       const axis = { stroke: () => colour("ink"), font: FONT, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false } };
       return {
         width: this.live.clientWidth || 600,
-        height: Math.max(chart.strip ? 64 : 96, 46 * chart.height) + (last ? 42 : 0),
+        height: Math.max(chart.strip ? 64 : 96, 46 * chart.height) + (last ? LAST : 0),
         padding: [6, 8, last ? 0 : 6, 0],
         legend: { show: false },
         cursor: {
@@ -183,8 +187,8 @@
         series: [{}, ...(this.spec.axis ? [{}] : lines.map(line))],
         bands: areas.map((k) => ({ series: [k + 2, k + 1], fill: () => `color-mix(in srgb, ${colour(lines[k].colour)} 40%, transparent)` })),
         axes: [
-          { ...axis, size: last ? 42 : 0, splits: (plot, _, low, high) => splits(low, high, Math.max(2, Math.floor(plot.width / 90))), values: (_, at) => (last ? tick(at) : at.map(() => "")), label: last ? this.spec.axis || "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
-          { ...axis, size: AXIS, splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => (chart.log ? at.map((power) => typeset(10 ** power, 2)) : tick(at)) },
+          { ...axis, size: last ? LAST : 0, splits: (plot, _, low, high) => splits(low, high, Math.max(2, Math.floor(plot.width / 90))), values: (_, at) => (last ? tick(at) : at.map(() => "")), label: last ? this.spec.axis || "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
+          { ...axis, size: AXIS, ...(chart.words ? worded(new Map(chart.words)) : { splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => (chart.log ? at.map((power) => typeset(10 ** power, 2)) : tick(at)) }) },
         ],
         hooks: {
           drawAxes: [(plot) => this.bounds(plot, chart)],

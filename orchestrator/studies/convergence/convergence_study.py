@@ -179,7 +179,7 @@ class Reference:
             values = np.clip(trace[name][in_run], -HUGE / 2, HUGE / 2)
             values = convert(values, trace.units.get(name, unit), unit, name)
             expected = self.recording[name][here]
-            return measure(time[here], values, expected, span=size, rate=False, where=name)
+            return measure(time[here], values, expected, span=size, where=name)
 
         errors = {name: error(name) for name in self.names}
         return {
