@@ -1,35 +1,113 @@
-"""Least squares with a fading memory, as sums that are states, and when a size is told.
+"""The mechanism of the diagnosis: states, one least squares, one cumulative sum, and when something is told.
+
+**Least squares** with a fading memory, in the information form, whose sums are states:
 
     N' = w sum(c c^T) - N/T        b' = w sum(c y) - b/T        T counts only time with w > 0
 
-of the equations y = c^T s with columns c and sizes s. Each size has a prior, `reference` with a standard
-deviation, so a size without data stays there. The covariance is r^2 N^-1 with the standard deviation r of the
+of residuals y = c^T s with columns c and unknowns s. Each unknown has a prior, `reference` with a standard
+deviation, so one without data stays there. The covariance is r^2 N^-1 with the standard deviation r of the
 right side: that of the residual, in which one assumed before any data counts as `DOUBT` samples, and no less
-than the known one. Samples, of one per time constant of the weight, count as independent.
+than the known one. Samples, of one per time constant of the weight, count as independent. A size is a fault
+if it is beyond its limit by `CERTAIN` deviations.
+
+**Cumulative sum** (Page, Biometrika 41 (1954) 100): an excess beyond a margin is summed, and never negative;
+a fault at a limit of the sum.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
 import casadi as ca
 
-from fmus.contract import Scalar
+from fmus.contract import Quantity, Scalar
 
 SAMPLING = 0.01  # s, between two samples of the diagnosis
-QUICK = SAMPLING  # s, in which a latch or a clock is set
-FORGOTTEN = 0.1  # s, in which a volume is forgotten
+QUICK = SAMPLING  # s, in which a latch or a sum is set
+FORGOTTEN = 0.1  # s, in which a sum is forgotten
 DOUBT = 4.0  # samples
 FEWEST = 10.0  # samples, from which a size is told
 ROUGH = 0.1  # of the squares that a size explains, may be left because its model is not exact
 CERTAIN = 3.0  # deviations by which a size is above its limit
+NOMINAL = {"V": 10.0, "Pa": 1e7, "m3": 1e-3, "m3/s": 1e-3}
 
 Equations = Sequence[tuple[Sequence[Scalar], Scalar]]  # columns and right side of each
 Told = tuple[Scalar, Scalar, Scalar]  # size, deviation; 1: a fault, 0: none, -1: cannot be told
+
+
+@dataclass(frozen=True)
+class States:
+    """States of an algorithm, each declared where its rate is written.
+
+    x        their values; None: new symbols, to find out which states there are
+    of       what they describe, and begin of their names
+    declared, rates, starts   by full name, for all parts of an algorithm
+    """
+
+    x: Any = None
+    of: str = ""
+    declared: dict[str, Quantity] = field(default_factory=dict)
+    rates: dict[str, Scalar] = field(default_factory=dict)
+    starts: dict[str, Scalar] = field(default_factory=dict)
+
+    def full(self, name: str) -> str:
+        """Its name."""
+        return f"{self.of}_{name}" if self.of else name
+
+    def state(self, name: str, text: str, unit: str = "1", start: Scalar | None = None) -> Scalar:
+        """Its value; `moves` gives its rate."""
+        full, text = self.full(name), f"{text}: {self.of}" if self.of else text
+        self.declared[full] = Quantity(unit, text, NOMINAL.get(unit, 1.0))
+        if start is not None:
+            self.starts[full] = start
+        return ca.SX.sym(full) if self.x is None else getattr(self.x, full)
+
+    def moves(self, name: str, rate: Scalar) -> None:
+        """Its rate."""
+        self.rates[self.full(name)] = rate
+
+    def lag(self, name: str, now: Scalar, time: Scalar, text: str, unit: str = "1") -> Scalar:
+        """A signal behind a lag of first order [s]."""
+        late = self.state(name, f"{text}, behind a lag", unit, now)
+        self.moves(name, (now - late) / time)
+        return late
+
+    def latch(self, name: str, text: str, reset: Scalar) -> Latch:
+        """1 from a condition on, until the reset."""
+        return Latch(self, name, self.state(name, text), reset)
+
+    def sum(
+        self,
+        name: str,
+        text: str,
+        excess: Scalar,
+        counts: Scalar,
+        unit: str = "s",
+        forgotten: float = QUICK,
+    ) -> Scalar:
+        """Cumulative sum of an excess [unit/s] while it counts, forgotten while not."""
+        total = self.state(name, text, unit)
+        rate = ca.fmax(excess * counts - (1 - counts) * total / forgotten, -total / QUICK)
+        self.moves(name, rate)
+        return total
+
+
+@dataclass(frozen=True)
+class Latch:
+    """A state that goes to 1 with a condition, or up to a size, and stays until the reset."""
+
+    m: States
+    name: str
+    value: Scalar
+    reset: Scalar
+
+    def when(self, size: Scalar) -> None:
+        """What sets it."""
+        self.m.moves(self.name, (ca.fmax(size - self.value, 0) - self.value * self.reset) / QUICK)
 
 
 @dataclass(frozen=True)
@@ -68,60 +146,59 @@ class Prior:
     most: float = math.inf
 
 
-@dataclass(frozen=True)
 class Fit:
     """Least squares of an equation, without units.
 
     apart   pairs of columns of which one is always zero
     """
 
-    name: str
-    columns: tuple[str, ...]
-    apart: frozenset[frozenset[str]] = frozenset()
+    def __init__(
+        self, m: States, name: str, columns: Sequence[str], apart: Sequence[tuple[str, str]] = ()
+    ) -> None:
+        size = range(len(columns))
+        never = {frozenset(map(list(columns).index, pair)) for pair in apart}
+        self.m, self.name, self.size = m, name, len(columns)
+        self.products = [(i, j) for j in size for i in range(j + 1) if frozenset((i, j)) not in never]
+        keys = [*(f"{i}{j}" for i, j in self.products), *(f"{i}y" for i in size), "yy", "w"]
+        text = f"Sum of normal equations, {name}"
+        self.sums = {key: m.state(f"{name}_{key}", f"{text} {key}") for key in keys}
 
-    @property
-    def _products(self) -> list[tuple[int, int]]:
-        pairs = [(i, j) for j in range(len(self.columns)) for i in range(j + 1)]
-        return [(i, j) for i, j in pairs if frozenset((self.columns[i], self.columns[j])) not in self.apart]
-
-    @property
-    def states(self) -> list[str]:
-        """Names of the sums."""
-        sums = [f"{i}{j}" for i, j in self._products] + [f"{i}y" for i in range(len(self.columns))]
-        return [f"{self.name}_{s}" for s in (*sums, "yy", "w")]
-
-    def rates(
-        self, x: Any, weight: Scalar, equations: Equations, memory: Scalar, count: Scalar | None = None
-    ) -> dict[str, Scalar]:
-        """Of the sums; weight [1/s], memory [s]; count: of equations, without it all."""
-        terms = [sum(c[i] * c[j] for c, _ in equations) for i, j in self._products]
-        terms += [sum(c[i] * y for c, y in equations) for i in range(len(self.columns))]
+    def adds(self, weight: Scalar, equations: Equations, memory: Scalar, count: Scalar | None = None) -> None:
+        """Rates of the sums; weight [1/s], memory [s]; count: of equations, without it all."""
+        terms = [sum(c[i] * c[j] for c, _ in equations) for i, j in self.products]
+        terms += [sum(c[i] * y for c, y in equations) for i in range(self.size)]
         terms += [sum(y * y for _, y in equations), len(equations) if count is None else count]
         fade = ca.if_else(weight > 0, 1 / memory, 0)
-        return {n: weight * t - fade * getattr(x, n) for n, t in zip(self.states, terms, strict=True)}
+        for (key, total), term in zip(self.sums.items(), terms, strict=True):
+            self.m.moves(f"{self.name}_{key}", weight * term - fade * total)
 
-    def centre(self, x: Any, k: int) -> list[Scalar]:
+    @property
+    def samples(self) -> Scalar:
+        """How many there are in the memory."""
+        return self.sums["w"]
+
+    def centre(self, k: int) -> list[Scalar]:
         """Mean of the columns, where the column k is -1 and not 0: what is known best along it."""
-        sums = {frozenset(pair): getattr(x, f"{self.name}_{pair[0]}{pair[1]}") for pair in self._products}
+        sums = {frozenset(pair): self.sums[f"{pair[0]}{pair[1]}"] for pair in self.products}
         count = ca.fmax(sums[frozenset((k,))], 1e-9)
-        return [-sums.get(frozenset((k, i)), 0) / count for i in range(len(self.columns))]
+        return [-sums.get(frozenset((k, i)), 0) / count for i in range(self.size)]
 
-    def solved(self, x: Any, prior: Prior, rare: int = 0, weighed: bool = False) -> Solution:
+    def solved(self, prior: Prior, rare: int = 0, weighed: bool = False) -> Solution:
         """Sizes with their covariance.
 
         rare      how many of the first ones are faults, see `few`
         weighed   a prior counts by the deviation that the right side turns out to have, not by the least one
         """
         if weighed:
-            scatter = self.solved(x, prior, rare).scatter
+            scatter = self.solved(prior, rare).scatter
             prior = replace(prior, deviations=[d * prior.least / scatter for d in prior.deviations])
-        size = len(self.columns)
+        size = self.size
         n, b = ca.SX(size, size), ca.SX(size, 1)
-        for i, j in self._products:
-            n[i, j] = n[j, i] = getattr(x, f"{self.name}_{i}{j}")
+        for i, j in self.products:
+            n[i, j] = n[j, i] = self.sums[f"{i}{j}"]
         weights = [(prior.least / d) ** 2 for d in prior.deviations]
         for i, (weight, reference) in enumerate(zip(weights, prior.references, strict=True)):
-            b[i] = getattr(x, f"{self.name}_{i}y") + weight * reference
+            b[i] = self.sums[f"{i}y"] + weight * reference
             n[i, i] += weight
         if rare:
             found, inverse = _with_few(n, b, rare, (CERTAIN * prior.least) ** 2)
@@ -129,14 +206,12 @@ class Fit:
             factors = ca.ldl(ca.densify(n))
             inverse = ca.ldl_solve(ca.SX.eye(size), *factors)
             found = ca.vertsplit(ca.ldl_solve(b, *factors))
-        s, samples = ca.vertcat(*found), getattr(x, f"{self.name}_w")
-        squares = getattr(x, f"{self.name}_yy") + sum(
-            w * r**2 for w, r in zip(weights, prior.references, strict=True)
-        )
+        s = ca.vertcat(*found)
+        squares = self.sums["yy"] + sum(w * r**2 for w, r in zip(weights, prior.references, strict=True))
         residual = ca.fmax(squares - 2 * ca.dot(b, s) + s.T @ n @ s, 0)
-        variance = (residual + DOUBT * prior.rough**2) / (samples + DOUBT)
+        variance = (residual + DOUBT * prior.rough**2) / (self.samples + DOUBT)
         variance = ca.fmin(ca.fmax(variance, prior.least**2), prior.most**2)
-        return Solution(found, variance * inverse, samples, ca.sqrt(variance))
+        return Solution(found, variance * inverse, self.samples, ca.sqrt(variance))
 
 
 def _root(variance: Scalar) -> Scalar:
@@ -189,21 +264,6 @@ def either(*conditions: Scalar) -> Scalar:
     for c in conditions:
         found = ca.fmax(found, c)
     return found
-
-
-def latched(state: Scalar, condition: Scalar, reset: Scalar) -> Scalar:
-    """Rate of a state that goes to 1 with a condition, and stays until the reset."""
-    return (condition * (1 - state) - state * reset) / QUICK
-
-
-def counted(clock: Scalar, condition: Scalar, rate: Scalar = 1, forgotten: float = QUICK) -> Scalar:
-    """Rate of a clock that counts while a condition is 1, and else goes back to 0."""
-    return ca.if_else(condition > 0, rate, -clock / forgotten)
-
-
-def gathered(volume: Scalar, excess: Scalar, counts: Scalar) -> Scalar:
-    """Rate of a volume [m3] that gathers an excess [m3/s], and is forgotten while it does not count."""
-    return ca.fmax(excess * counts - (1 - counts) * volume / FORGOTTEN, -volume / QUICK)
 
 
 def judged(size: Scalar, deviation: Scalar, limit: Scalar, usable: Scalar) -> Scalar:
