@@ -17,8 +17,9 @@ a fault at a limit of the sum.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -26,8 +27,7 @@ import casadi as ca
 
 from fmus.contract import Quantity, Scalar
 
-SAMPLING = 0.01  # s, between two samples of the diagnosis
-QUICK = SAMPLING  # s, in which a latch or a sum is set
+SAMPLING = QUICK = 0.01  # s, between two samples of the diagnosis; in which a latch or a sum is set
 FORGOTTEN = 0.1  # s, in which a sum is forgotten
 DOUBT = 4.0  # samples
 FEWEST = 10.0  # samples, from which a size is told
@@ -44,11 +44,13 @@ class States:
     """States of an algorithm, each declared where its rate is written.
 
     x        their values; None: new symbols, to find out which states there are
+    reset    1: forget what is latched
     of       what they describe, and begin of their names
     declared, rates, starts   by full name, for all parts of an algorithm
     """
 
     x: Any = None
+    reset: Scalar = 0
     of: str = ""
     declared: dict[str, Quantity] = field(default_factory=dict)
     rates: dict[str, Scalar] = field(default_factory=dict)
@@ -59,7 +61,7 @@ class States:
         return f"{self.of}_{name}" if self.of else name
 
     def state(self, name: str, text: str, unit: str = "1", start: Scalar | None = None) -> Scalar:
-        """Its value; `moves` gives its rate."""
+        """Its value; `moves` or `latch` gives its rate."""
         full, text = self.full(name), f"{text}: {self.of}" if self.of else text
         self.declared[full] = Quantity(unit, text, NOMINAL.get(unit, 1.0))
         if start is not None:
@@ -70,98 +72,56 @@ class States:
         """Its rate."""
         self.rates[self.full(name)] = rate
 
-    def lag(self, name: str, now: Scalar, time: Scalar, text: str, unit: str = "1") -> Scalar:
-        """A signal behind a lag of first order [s]."""
-        late = self.state(name, f"{text}, behind a lag", unit, now)
+    def latch(self, name: str, value: Scalar, size: Scalar) -> None:
+        """It goes up to a size, and stays there until the reset."""
+        self.moves(name, (ca.fmax(size - value, 0) - value * self.reset) / QUICK)
+
+    def lag(
+        self, name: str, now: Scalar, time: Scalar, text: str, unit: str = "1", zero: bool = False
+    ) -> Scalar:
+        """A signal behind a lag of first order [s], which starts at the signal, or at zero."""
+        late = self.state(name, f"{text}, behind a lag", unit, None if zero else now)
         self.moves(name, (now - late) / time)
         return late
 
-    def latch(self, name: str, text: str, reset: Scalar) -> Latch:
-        """1 from a condition on, until the reset."""
-        return Latch(self, name, self.state(name, text), reset)
-
     def sum(
-        self,
-        name: str,
-        text: str,
-        excess: Scalar,
-        counts: Scalar,
-        unit: str = "s",
-        forgotten: float = QUICK,
+        self, name: str, text: str, excess: Scalar, counts: Scalar, unit: str = "s", fade: float = QUICK
     ) -> Scalar:
         """Cumulative sum of an excess [unit/s] while it counts, forgotten while not."""
         total = self.state(name, text, unit)
-        rate = ca.fmax(excess * counts - (1 - counts) * total / forgotten, -total / QUICK)
-        self.moves(name, rate)
+        self.moves(name, ca.fmax(excess * counts - (1 - counts) * total / fade, -total / QUICK))
         return total
-
-
-@dataclass(frozen=True)
-class Latch:
-    """A state that goes to 1 with a condition, or up to a size, and stays until the reset."""
-
-    m: States
-    name: str
-    value: Scalar
-    reset: Scalar
-
-    def when(self, size: Scalar) -> None:
-        """What sets it."""
-        self.m.moves(self.name, (ca.fmax(size - self.value, 0) - self.value * self.reset) / QUICK)
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Of normal equations: sizes, their covariance, number of samples, deviation of the right side."""
-
-    sizes: list[Scalar]
-    covariance: ca.SX
-    samples: Scalar
-    scatter: Scalar
-
-    def __iter__(self) -> Iterator[tuple[Scalar, Scalar]]:
-        """Each size with its deviation."""
-        return ((s, _root(self.covariance[i, i])) for i, s in enumerate(self.sizes))
-
-    def along(self, *weights: Scalar) -> tuple[Scalar, Scalar]:
-        """A sum of sizes with these weights, and its deviation."""
-        w = ca.vertcat(*weights)
-        return ca.dot(w, ca.vertcat(*self.sizes)), _root(w.T @ self.covariance @ w)
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is known before any data.
-
-    deviations, references   of the sizes
-    least                    standard deviation of the right side, at least
-    rough                    that before any data
-    most                     that at most: what differs more is a change
-    """
-
-    deviations: Sequence[Scalar]
-    references: Sequence[Scalar]
-    least: float
-    rough: float
-    most: float = math.inf
 
 
 class Fit:
     """Least squares of an equation, without units.
 
-    apart   pairs of columns of which one is always zero
+    priors   standard deviation and reference of each size
+    least    standard deviation of the right side, at least
+    rough    that before any data
+    most     that at most: what differs more is a change
+    rare     how many of the first sizes are faults, see `few`
+    weighed  whether a prior counts by the deviation that the right side turns out to have, not the least one
     """
 
     def __init__(
-        self, m: States, name: str, columns: Sequence[str], apart: Sequence[tuple[str, str]] = ()
+        self,
+        m: States,
+        name: str,
+        priors: Sequence[tuple[Scalar, Scalar]],
+        least: float,
+        rough: float,
+        most: float = math.inf,
+        rare: int = 0,
+        weighed: bool = False,
     ) -> None:
-        size = range(len(columns))
-        never = {frozenset(map(list(columns).index, pair)) for pair in apart}
-        self.m, self.name, self.size = m, name, len(columns)
-        self.products = [(i, j) for j in size for i in range(j + 1) if frozenset((i, j)) not in never]
-        keys = [*(f"{i}{j}" for i, j in self.products), *(f"{i}y" for i in size), "yy", "w"]
-        text = f"Sum of normal equations, {name}"
-        self.sums = {key: m.state(f"{name}_{key}", f"{text} {key}") for key in keys}
+        self.m, self.name, self.priors, self.size = m, name, priors, len(priors)
+        self.least, self.rough, self.most, self.rare, self.weighed = least, rough, most, rare, weighed
+        size = range(self.size)
+        self.products = [(i, j) for j in size for i in range(j + 1)]
+        keys = [*(f"{i}_{j}" for i, j in self.products), *(f"{i}_y" for i in size), "yy", "w"]
+        self.sums = {k: m.state(f"{name}_{k}", f"Sum of normal equations, {name} {k}") for k in keys}
+        self.samples = self.sums["w"]  # in the memory
 
     def adds(self, weight: Scalar, equations: Equations, memory: Scalar, count: Scalar | None = None) -> None:
         """Rates of the sums; weight [1/s], memory [s]; count: of equations, without it all."""
@@ -172,46 +132,49 @@ class Fit:
         for (key, total), term in zip(self.sums.items(), terms, strict=True):
             self.m.moves(f"{self.name}_{key}", weight * term - fade * total)
 
-    @property
-    def samples(self) -> Scalar:
-        """How many there are in the memory."""
-        return self.sums["w"]
-
     def centre(self, k: int) -> list[Scalar]:
         """Mean of the columns, where the column k is -1 and not 0: what is known best along it."""
-        sums = {frozenset(pair): self.sums[f"{pair[0]}{pair[1]}"] for pair in self.products}
-        count = ca.fmax(sums[frozenset((k,))], 1e-9)
-        return [-sums.get(frozenset((k, i)), 0) / count for i in range(self.size)]
+        rows = [self.sums[f"{min(i, k)}_{max(i, k)}"] for i in range(self.size)]
+        return [-row / ca.fmax(rows[k], 1e-9) for row in rows]
 
-    def solved(self, prior: Prior, rare: int = 0, weighed: bool = False) -> Solution:
-        """Sizes with their covariance.
-
-        rare      how many of the first ones are faults, see `few`
-        weighed   a prior counts by the deviation that the right side turns out to have, not by the least one
-        """
-        if weighed:
-            scatter = self.solved(prior, rare).scatter
-            prior = replace(prior, deviations=[d * prior.least / scatter for d in prior.deviations])
-        size = self.size
-        n, b = ca.SX(size, size), ca.SX(size, 1)
+    def _solved(self, spread: Scalar) -> tuple[list[Scalar], ca.SX, Scalar]:
+        """Sizes, inverse of the normal equations, variance of the right side; priors relative to a spread."""
+        n, b, squares = ca.SX(self.size, self.size), ca.SX(self.size, 1), self.sums["yy"]
         for i, j in self.products:
-            n[i, j] = n[j, i] = self.sums[f"{i}{j}"]
-        weights = [(prior.least / d) ** 2 for d in prior.deviations]
-        for i, (weight, reference) in enumerate(zip(weights, prior.references, strict=True)):
-            b[i] = self.sums[f"{i}y"] + weight * reference
+            n[i, j] = n[j, i] = self.sums[f"{i}_{j}"]
+        for i, (deviation, reference) in enumerate(self.priors):
+            weight = (spread / deviation) ** 2
+            b[i] = self.sums[f"{i}_y"] + weight * reference
             n[i, i] += weight
-        if rare:
-            found, inverse = _with_few(n, b, rare, (CERTAIN * prior.least) ** 2)
+            squares += weight * reference**2
+        if self.rare:
+            found, inverse = _with_few(n, b, self.rare, (CERTAIN * self.least) ** 2)
         else:
             factors = ca.ldl(ca.densify(n))
-            inverse = ca.ldl_solve(ca.SX.eye(size), *factors)
+            inverse = ca.ldl_solve(ca.SX.eye(self.size), *factors)
             found = ca.vertsplit(ca.ldl_solve(b, *factors))
         s = ca.vertcat(*found)
-        squares = self.sums["yy"] + sum(w * r**2 for w, r in zip(weights, prior.references, strict=True))
         residual = ca.fmax(squares - 2 * ca.dot(b, s) + s.T @ n @ s, 0)
-        variance = (residual + DOUBT * prior.rough**2) / (self.samples + DOUBT)
-        variance = ca.fmin(ca.fmax(variance, prior.least**2), prior.most**2)
-        return Solution(found, variance * inverse, self.samples, ca.sqrt(variance))
+        variance = (residual + DOUBT * self.rough**2) / (self.samples + DOUBT)
+        return found, inverse, ca.fmin(ca.fmax(variance, self.least**2), self.most**2)
+
+    @cached_property
+    def solution(self) -> tuple[list[Scalar], ca.SX]:
+        """Sizes, and their covariance."""
+        spread = ca.sqrt(self._solved(self.least)[2]) if self.weighed else self.least
+        found, inverse, variance = self._solved(spread)
+        return found, variance * inverse
+
+    @property
+    def sizes(self) -> list[tuple[Scalar, Scalar]]:
+        """Each size with its deviation."""
+        found, covariance = self.solution
+        return [(s, _root(covariance[i, i])) for i, s in enumerate(found)]
+
+    def along(self, *weights: Scalar) -> tuple[Scalar, Scalar]:
+        """A sum of sizes with these weights, and its deviation."""
+        w, (found, covariance) = ca.vertcat(*weights), self.solution
+        return ca.dot(w, ca.vertcat(*found)), _root(w.T @ covariance @ w)
 
 
 def _root(variance: Scalar) -> Scalar:

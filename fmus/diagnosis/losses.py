@@ -37,7 +37,6 @@ other side says that its valve is open.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import casadi as ca
 
@@ -49,7 +48,6 @@ from fmus.diagnosis.estimates import (
     QUICK,
     Equations,
     Fit,
-    Prior,
     Told,
     either,
     judged,
@@ -114,7 +112,7 @@ def _rests(a: Axis) -> tuple[Equations, Scalar, Scalar]:
     settling = ca.if_else(a.compensated > 0, HOLDING, p.settling)
     whole = a.closed * a.sound * whether(settled > settling) * whether(rest < PART)
     goes_on = whole * (1 - spoils * whether(rest > 0))
-    ends = (1 - goes_on) * whether(rest > SHORTEST) * a.usable * (1 - a.spool.value)
+    ends = (1 - goes_on) * whether(rest > SHORTEST) * a.usable * (1 - a.spool)
     m.moves("rest", ca.if_else(goes_on > 0, 1, -rest / QUICK))
 
     def over(name: str, text: str, unit: str, growth: Scalar) -> Scalar:
@@ -169,13 +167,12 @@ def leaks(a: Axis) -> dict[str, Told]:
     """Sizes above their limits by three deviations."""
     p, names = a.p, [m.format("leak") for m in chambers_of(a.axis)]
     rows, count, ends = _rests(a)
-    usable = a.usable * (1 - a.spool.value)
-    fit = Fit(a.m, "leaks", ("seal", "head", "rod", "valve", "air"))
-    trapped = Fit(a.m, "trapped", ("air",))
+    usable = a.usable * (1 - a.spool)
+    airy, healthy = AIR.prior if a.axis.turns else AIRY, a.reference("air")  # hoses of a motor
+    fit = Fit(a.m, "leaks", [*[(LEAK, 0)] * 4, (airy, 0)], 1.0, 2.0, MOST, rare=4)
+    trapped = Fit(a.m, "trapped", [(AIR.prior, healthy)], 1.0, 4.0)
     for one, memory, size in ((fit, p.memory, 5), (trapped, AIR_MEMORY, 1)):
         one.adds(ends / QUICK, [(c[-size:], y) for c, y in rows], QUICK / (1 - ca.exp(-1 / memory)), count)
-    airy = AIR.prior if a.axis.turns else AIRY  # hoses of a motor
-    found = fit.solved(Prior((*[LEAK] * 4, airy), [0] * 5, 1.0, 2.0, MOST), 4)
     known = usable * (1 - a.burst_told) * whether(fit.samples > FEWEST_RESTS)
     jet = a.actuator.gain / a.actuator.valve.area * math.sqrt(PRESSURE)
     limit = p.leak_limit / LITRE * (SWAYING if a.axis.turns else 1)
@@ -183,13 +180,12 @@ def leaks(a: Axis) -> dict[str, Told]:
     told = {
         n: (scale * size, scale * off, judged(size, off, limit, known))
         for n, (size, off), scale in zip(
-            ("seal_leakage", *names, "valve_opening"), found, scales, strict=False
+            ("seal_leakage", *names, "valve_opening"), fit.sizes, scales, strict=False
         )
     }
     if a.axis.turns:
         return {n: t for n, t in told.items() if n != "seal_leakage"}
-    healthy = a.reference("air")
-    ((share, off),) = trapped.solved(Prior((AIR.prior,), (healthy,), 1.0, 4.0))
+    ((share, off),) = trapped.sizes
     enough = usable * whether(trapped.samples > 2 * FEWEST)
     more = share - ca.fmax(healthy, 0)
     return told | {"air": (share, off, judged(more, off, ALONE * air_limit(healthy, p), enough))}
@@ -232,8 +228,8 @@ def spool(a: Axis) -> dict[str, Told]:
     text = "Time for which the valve does not follow"
     time = m.sum("missing", text, wrong, whether(wrong > 0), "s", FORGOTTEN)
     told = either(whether(time > p.response_time), *(whether(v > PASSED) for v in passed))
-    a.spool.when(told * (1 - a.burst_told))
-    return {"spool": shown(a.spool.value, a.usable)}
+    m.latch("spool", a.spool, told * (1 - a.burst_told))
+    return {"spool": shown(a.spool, a.usable)}
 
 
 def bursts(a: Axis) -> dict[str, Told]:
@@ -242,7 +238,7 @@ def bursts(a: Axis) -> dict[str, Told]:
     rest, still = RESTING * p.burst_margin, whether(ca.fabs(a.speed) < RESTING * p.burst_margin)
     margin = ca.if_else(a.shut > LONG, rest, p.burst_margin)
     margin = ca.if_else(still * whether(a.shut > LONGER) > 0, SLOW * p.burst_margin, margin)
-    usable = a.usable * (1 - a.spool.value)
+    usable = a.usable * (1 - a.spool)
     for k, (mark, flow) in enumerate(zip(chambers_of(a.axis), a.flows, strict=True)):
         pressure, other, sound = a.pressures[k], 1 - k, a.sound * a.full[k]
         # what leaves it beyond the return edge; flows are behind a lag, so is the pressure
@@ -267,6 +263,6 @@ def bursts(a: Axis) -> dict[str, Told]:
         lost = a.m.sum(f"lost_{k}", "Oil lost beyond its valve", excess, counts, "m3", FORGOTTEN)
         hidden = whether(a.hidden[k] > p.response_time) * p.burst_margin
         size = ca.fmax(whether(lost > p.burst_volume) * ca.fmax(loss, starved), hidden)
-        a.burst[k].when(size * (1 - a.spool.value) * a.sound)
-        told[mark.format("burst")] = shown(a.burst[k].value, usable)
+        a.m.latch(f"burst_{k}", a.burst[k], size * (1 - a.spool) * a.sound)
+        told[mark.format("burst")] = shown(a.burst[k], usable)
     return told

@@ -32,8 +32,6 @@ from fmus.diagnosis.estimates import (
     QUICK,
     SAMPLING,
     Fit,
-    Prior,
-    Solution,
     States,
     Told,
     either,
@@ -47,7 +45,6 @@ from fmus.diagnosis.unknowns import (
     LITRE,
     MAP,
     NUMBERS,
-    OF_MACHINE,
     Settings,
     Unknown,
     findings,
@@ -78,7 +75,7 @@ class Diagnosis:
 
     def work(self, x: Any, u: Any, p: Any) -> tuple[States, dict[str, Told], tuple[Scalar, Scalar]]:
         """States with their rates, what is told of each unknown, and the payload."""
-        m, told = States(x), dict[str, Told]()
+        m, told = States(x, u.reset), dict[str, Told]()
         wrong = self._lines(m, u, p, told)
         q = self.arm.coordinates(u)
         pistons, radial = self.arm.pistons(q, p), [0, *(r for r, _ in self.arm.columns(q, p))]
@@ -116,63 +113,49 @@ class Diagnosis:
         wrong: Scalar = 0
         for n in LINES:
             known, out = getattr(p, f"{n}_fitted"), outside(getattr(u, n), p)
-            bad = m.latch(f"{n}_bad", f"1: the reading of {n} is wrong", u.reset)
-            bad.when(out * known)
-            wrong, told[f"{n}_sensor"] = either(wrong, out, bad.value, 1 - known), shown(bad.value, known)
+            bad = m.state(f"{n}_bad", f"1: the reading of {n} is wrong")
+            m.latch(f"{n}_bad", bad, out * known)
+            wrong, told[f"{n}_sensor"] = either(wrong, out, bad, 1 - known), shown(bad, known)
         return wrong
 
     def _pressures(self, m: States, axes: list[Axis], u: Any, p: Any, told: dict[str, Told]) -> None:
         """Of the lines over their flows."""
-        inward, outward = (sum(ca.fmax(way * f, 0) for a in axes for f in a.flows) for way in (1, -1))
-        into = m.lag("late_inward", inward, LAG, "Flow into all chambers", "m3/s")
-        out = m.lag("late_outward", outward, LAG, "Flow out of all chambers", "m3/s")
-        supply = m.lag("late_supply", u.supply_pressure, LAG, "Supply pressure", "Pa")
-        tank = m.lag("late_tank", u.tank_pressure, LAG, "Pressure of the return line", "Pa")
-        del m.starts["late_inward"], m.starts["late_outward"]
-        constant = 1 - either(*(a.compensated for a in axes))  # the pump does not follow the load
         cold = whether(u.oil_temperature > 0) * whether(u.oil_temperature < p.filter_temperature)  # 0: open
-        sound = 1
-        for a in axes:
-            sound *= a.sound
-        of_tank, of_pump = Fit(m, "return", ("flow", "one")), Fit(m, "pump", ("flow", "one"))
-        for fit, flow, pressure, counts, memory in (
-            (of_tank, out, tank, 1 - cold, valves.SLOW_MEMORY),
-            (of_pump, into, supply, constant, PUMP_MEMORY),
+        constant = 1 - either(*(a.compensated for a in axes))  # the pump does not follow the load
+        known, learned = reference("return_resistance", p) * FLOW / BAR, reference("pump_pressure", p)
+        fits, late = dict[str, Fit](), dict[str, tuple[Scalar, Scalar]]()
+        for n, way, counts, memory, priors, least, rough in (
+            ("tank", -1, 1 - cold, valves.SLOW_MEMORY, ((10, known), (10, 4.0)), 0.1, 0.5),
+            ("supply", 1, constant, PUMP_MEMORY, ((100, 0), (1000, learned / BAR)), 0.3, 3.0),
         ):
-            weight = counts * sound * whether(flow > WORKING) / LAG
-            fit.adds(weight, [([flow / FLOW, 1], pressure / BAR)], memory)
-        scale, known = BAR / FLOW, reference("return_resistance", p)
-        resistance = of_tank.solved(Prior((10, 10), (known / scale, 4.0), 0.1, 0.5))
-        size, off = (scale * v for v in next(iter(resistance)))
-        state = judged(size - known, off, p.return_limit, whether(of_tank.samples > FEWEST))
-        told["return_resistance"] = size, off, state
-        known = reference("pump_pressure", p)
-        pump = of_pump.solved(Prior((100, 1000), (0, known / BAR), 0.3, 3.0))
-        size, off = (BAR * v for v in pump.along(PUMP_FLOW / FLOW, 1))
-        learned = whether(known > 0)  # 0: no healthy machine was measured
-        state = judged(known - size, off, p.pump_limit, whether(pump.samples > 3 * FEWEST) * learned)
-        told["pump_pressure"] = size, off, state
-        self._other_supply(m, pump, ca.fabs(size - known), supply, into, learned, told)
+            flow = sum(ca.fmax(way * f, 0) for a in axes for f in a.flows)
+            flow = m.lag(f"late_{n}_flow", flow, LAG, f"Flow of the {n} line", "m3/s", True)
+            pressure = m.lag(f"late_{n}", getattr(u, f"{n}_pressure"), LAG, f"Pressure of the {n} line", "Pa")
+            fits[n], late[n] = Fit(m, n, priors, least, rough), (flow, pressure)
+            weight = counts * ca.mmin(ca.vertcat(*(a.sound for a in axes))) * whether(flow > WORKING) / LAG
+            fits[n].adds(weight, [([flow / FLOW, 1], pressure / BAR)], memory)
+        size, off = (BAR / FLOW * v for v in fits["tank"].sizes[0])
+        enough = whether(fits["tank"].samples > FEWEST)
+        told["return_resistance"] = size, off, judged(size - known * BAR / FLOW, off, p.return_limit, enough)
+        size, off = (BAR * v for v in fits["supply"].along(PUMP_FLOW / FLOW, 1))
+        enough = whether(fits["supply"].samples > 3 * FEWEST) * whether(learned > 0)
+        told["pump_pressure"] = size, off, judged(learned - size, off, p.pump_limit, enough)
+        self._other_supply(m, fits["supply"], late["supply"], learned, told)
 
     def _other_supply(
-        self,
-        m: States,
-        pump: Solution,
-        changed: Scalar,
-        supply: Scalar,
-        flow: Scalar,
-        learned: Scalar,
-        told: dict[str, Told],
+        self, m: States, pump: Fit, late: tuple[Scalar, Scalar], learned: Scalar, told: dict[str, Told]
     ) -> None:
         """A supply pressure that is another one, by which several valves seem to be others, is wrong.
 
         As long as it is another one the maps of valves are not told. The pump is, but not at once: until then
         strokes have shown whether valves seem to be others.
+
+        late   flow and pressure
         """
-        usual, _ = pump.along(flow / FLOW, 1)
-        off = whether(ca.fmax(ca.fabs(supply - BAR * usual), changed) > SUPPLY_OFF)
-        text = "Time for which the supply pressure is another one than before"
-        time = m.sum("supply_other", text, 1, off * learned * whether(pump.samples > FEWEST))
+        usual, _ = pump.along(late[0] / FLOW, 1)
+        changed = ca.fmax(ca.fabs(late[1] - BAR * usual), ca.fabs(told["pump_pressure"][0] - learned))
+        counts = whether(changed > SUPPLY_OFF) * whether(learned > 0) * whether(pump.samples > FEWEST)
+        time = m.sum("supply_other", "Time for which the supply pressure is another one", 1, counts)
         other = whether(time > 0)
         maps = {a.name: [f"{a.name}_{n}" for n in MAP[:4]] for a in self.arm.axes}
         count = sum(either(*(whether(told[n][2] > 0) for n in names)) for names in maps.values())
@@ -203,7 +186,7 @@ class Diagnosis:
 def _parameters(
     arm: Arm, known: Mapping[str, Number], all_unknowns: Mapping[str, Unknown]
 ) -> tuple[Any, Any]:
-    """Group of parameters, and their numbers: sensors that a machine has, sizes of a healthy one, settings."""
+    """Group of parameters, and their numbers: sensors there are, sizes of a healthy machine, settings."""
     found = dict[str, tuple[Quantity, Number]]()
     for n in (*(n for a in arm.axes for n in signals_of(a)), *LINES):
         text = f"1: there is a reading of {n}, 0: there is none"

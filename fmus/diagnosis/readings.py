@@ -90,20 +90,18 @@ class Axis:
             self.late.append(late)
         self.behind = [now - late for now, late in zip(self.readings, self.late, strict=True)]
         self.rate = [v / p.lag for v in self.behind]
-        self._bad = [
-            m.latch(f"bad_{k}", f"1: the reading of {n} is wrong", u.reset) for k, n in enumerate(signals)
-        ]
+        self._bad = [m.state(f"bad_{k}", f"1: the reading of {n} is wrong") for k, n in enumerate(signals)]
         fast = whether(ca.fabs(self.readings[1]) > FASTEST)
-        moved = self.behind[0] - self.fitted[1] * (1 - fast) * p.lag * self.readings[1]
+        moved = self.behind[0] - self.fitted[1] * (1 - fast) * p.lag * self.late[1]
         self.outside = [whether(ca.fabs(moved) > JUMP), fast, *(outside(v, p) for v in self.pressures)]
         self.faulty = [
-            either(out, bad.value, 1 - known)
+            either(out, bad, 1 - known)
             for out, bad, known in zip(self.outside, self._bad, self.fitted, strict=True)
         ]
-        self.spool = m.latch("spool", "1: the spool does not follow", u.reset)
+        self.spool = m.state("spool", "1: the spool does not follow")
         texts = (f"Largest loss beyond its valve, {end}" for end in ENDS)
-        self.burst = [m.latch(f"burst_{k}", text, u.reset) for k, text in enumerate(texts)]
-        self.burst_told = whether(ca.fmax(*(b.value for b in self.burst)) > 0)
+        self.burst = [m.state(f"burst_{k}", text, "m3/s") for k, text in enumerate(texts)]
+        self.burst_told = whether(ca.fmax(*self.burst) > 0)
         self._chambers()
 
     def _chambers(self) -> None:
@@ -188,8 +186,8 @@ class Axis:
         """Readings that are wrong."""
         p, found = self.p, dict[str, Told]()
         moves = MOVES + 2 * p.angle_resolution / p.lag
-        turns, goes = (whether(ca.fabs(v) > moves) for v in (self.readings[1], self.rate[0]))
-        differ = whether(ca.fabs(self.rate[0] - self.readings[1]) > moves)
+        turns, goes = (whether(ca.fabs(v) > moves) for v in (self.late[1], self.rate[0]))
+        differ = whether(ca.fabs(self.rate[0] - self.late[1]) > moves)
         changes: Sequence[Scalar] = [
             turns * (1 - self.outside[1]) * differ,
             goes * (1 - self.outside[0]) * differ,
@@ -203,6 +201,8 @@ class Axis:
             text = f"Time for which {n} stands still although it should change"
             time = self.m.sum(f"still_{k}", text, changes[k], still)
             long = whether(time > p.still_time * (MOVING if k < 2 else 1))
-            self._bad[k].when(either(self.outside[k] * self.connected, long) * self.fitted[k])
-            found[f"{n}_sensor"] = shown(self._bad[k].value, self.fitted[k])
+            self.m.latch(
+                f"bad_{k}", self._bad[k], either(self.outside[k] * self.connected, long) * self.fitted[k]
+            )
+            found[f"{n}_sensor"] = shown(self._bad[k], self.fitted[k])
         return found

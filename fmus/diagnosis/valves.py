@@ -16,19 +16,17 @@ of its last change and a lag T; s and d of each direction. It counts if u has mo
 turned, the edge is open, no anti-cavitation valve is, and the drop over it is not small. Of compensated
 sections the least drop of all that are open counts: they share the flow of a pump that cannot give more. Gain
 and dead band are judged together, by the mean of v over all samples of a direction. The lag is a mean over a
-minute of motion, since a filter clogs slowly; the hysteresis is told by such a mean, too. Samples that are
-`valve_memory` apart count as independent.
+minute of motion, since a filter clogs slowly. A lag is one in slow ramps: not if u is `TRAVEL` behind the
+command. Samples that are `valve_memory` apart count as independent.
 """
 
 from __future__ import annotations
-
-from itertools import product
 
 import casadi as ca
 
 from fmus.components.play import play_rate
 from fmus.contract import Scalar
-from fmus.diagnosis.estimates import FEWEST, Equations, Fit, Prior, Solution, Told, judged, whether
+from fmus.diagnosis.estimates import FEWEST, Equations, Fit, Told, judged, whether
 from fmus.diagnosis.losses import CALM
 from fmus.diagnosis.readings import LEAST_DROP, Axis
 from fmus.diagnosis.unknowns import EDGES, MAP, of_axis
@@ -38,8 +36,7 @@ REGULATED = 1.8e6  # Pa, drop from which a compensated section holds its flow: 0
 WINDOW = 0.15  # s, in which the command is one sample: five lags
 SLOW_MEMORY = 60.0  # s, a minute of work
 HYSTERESIS, DELAY = MAP[4:]
-MEANS = {HYSTERESIS: 0.1, DELAY: 0.01}  # V, s: deviation that is one sample of a mean
-APART = tuple((f"{n}_up", f"{m}_down") for n, m in product(("gain", "dead_band"), repeat=2))
+DELAYS = 0.01  # s, deviation that is one sample of the mean lag
 
 
 def command_of(a: Axis) -> None:
@@ -66,6 +63,7 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
         * whether(drop > ca.if_else(a.compensated > 0, REGULATED, LEAST_DROP))
         * whether(filled > CALM)
         * whether(ca.fabs(gone) > 0.9)
+        * whether(ca.fabs(a.command - late) < TRAVEL)
         * (1 - a.closed)
         * ca.if_else(up > 0, *a.full)
     )
@@ -89,40 +87,32 @@ def _edge_equation(a: Axis) -> tuple[Scalar, Equations]:
 
 def valve(a: Axis) -> dict[str, Told]:
     """A change of the map is one of the mean command of a direction, or of the hysteresis."""
-    p, m = a.p, a.m
-    own = {n.removeprefix(f"{a.axis.name}_"): u for n, u in of_axis(a.axis).items()}
-
-    def solved(fit: Fit, names: tuple[str, ...], least: float, rough: float) -> Solution:
-        known = [a.reference(n) for n in names]
-        return fit.solved(Prior([own[n].prior for n in names], known, least, rough))
-
-    healthy = a.sound * (1 - a.spool.value) * (1 - a.burst_told)
-    usable = a.usable * (1 - a.spool.value)
-    of_map, of_edges = Fit(m, "valve", MAP, APART), Fit(m, "edges", EDGES, (EDGES,))
-    for fit, (counts, equations) in ((of_map, _map_equation(a)), (of_edges, _edge_equation(a))):
-        fit.adds(counts * healthy / WINDOW, equations, p.valve_memory)
-    fitted, edges = solved(of_map, MAP, 0.05, 0.15), solved(of_edges, EDGES, 0.1, 0.3)
-    enough, references = whether(fitted.samples > FEWEST), [a.reference(n) for n in MAP]
-    certain = usable * (1 - a.burst_told) * enough
-    limits = [*[p.valve_limit] * 4, p.hysteresis_limit]
-    rows = [of_map.centre(k) for k in (1, 1, 3, 3)] + [[0, 0, 0, 0, 1, 0]]
-    told = dict[str, Told]()
-    for n, (size, off), row, limit in zip(MAP, fitted, rows, limits, strict=False):
-        change, spread = fitted.along(*row)
-        change -= sum(w * r for w, r in zip(row, references, strict=True))
+    p, m, unknowns, told = a.p, a.m, of_axis(a.axis), dict[str, Told]()
+    priors = {n: (unknowns[f"{a.axis.name}_{n}"].prior, a.reference(n)) for n in (*MAP, *EDGES)}
+    of_map = Fit(m, "valve", [priors[n] for n in MAP], 0.05, 0.15)
+    of_edges = Fit(m, "edges", [priors[n] for n in EDGES], 0.1, 0.3)
+    healthy, usable = a.sound * (1 - a.spool) * (1 - a.burst_told), a.usable * (1 - a.spool)
+    counts, equations = _map_equation(a)
+    of_map.adds(counts * healthy / WINDOW, equations, p.valve_memory)
+    enough = whether(of_map.samples > FEWEST)
+    for k, (n, size) in enumerate(zip(MAP[:-1], of_map.sizes, strict=False)):
+        row = of_map.centre(k // 2 * 2 + 1) if n != HYSTERESIS else [0, 0, 0, 0, 1, 0]
+        change, spread = of_map.along(*row)
+        change -= sum(w * priors[one][1] for w, one in zip(row, MAP, strict=True))
         change = change if n == HYSTERESIS else ca.fabs(change)  # less of it is no fault
-        told[n] = size, off, judged(change, spread, limit, certain)
-    now, counts = told[HYSTERESIS], _map_equation(a)[0] * enough * healthy / p.valve_memory
-    for n, scale in MEANS.items():
-        size, off = [*fitted][MAP.index(n)]
-        weight, fit = 1 / ca.sqrt(1 + (off / scale) ** 2), Fit(m, f"mean_{n}", ("size",))
-        fit.adds(counts, [([weight], weight * size / scale)], SLOW_MEMORY)
-        ((size, off),) = fit.solved(Prior((own[n].prior / scale,), (a.reference(n) / scale,), 0.1, 1.0))
-        size, off, known = scale * size, scale * off, usable * whether(fit.samples > 1)
-        told[n] = size, off, ca.if_else(known > 0, 0, -1)  # the lag is told of all valves together
-        if n == HYSTERESIS:
-            told[n] = size, off, judged(size - a.reference(n), off, p.hysteresis_limit, known)
-    either_way = (ca.if_else(now[2] > 0, *pair) for pair in zip(now, told[HYSTERESIS], strict=True))
-    told[HYSTERESIS] = tuple(either_way)  # type: ignore[assignment]
-    known = usable * (1 - a.burst_told) * whether(edges.samples > FEWEST)
-    return told | {n: (*one, ca.if_else(known > 0, 0, -1)) for n, one in zip(EDGES, edges, strict=True)}
+        limit = p.hysteresis_limit if n == HYSTERESIS else p.valve_limit
+        told[n] = *size, judged(change, spread, limit, usable * (1 - a.burst_told) * enough)
+    # the lag as a mean, by how well it is known; it is told of all valves together
+    (size, off), (prior, known) = of_map.sizes[-1], priors[DELAY]
+    certain, of_delay = (
+        1 / ca.sqrt(1 + (off / DELAYS) ** 2),
+        Fit(m, "mean", [(prior / DELAYS, known / DELAYS)], 0.1, 1),
+    )
+    weight = counts * enough * healthy / p.valve_memory
+    of_delay.adds(weight, [([certain], certain * size / DELAYS)], SLOW_MEMORY)
+    ((size, off),) = of_delay.sizes
+    told[DELAY] = DELAYS * size, DELAYS * off, whether(usable * of_delay.samples > 1) - 1
+    counts, equations = _edge_equation(a)
+    of_edges.adds(counts * healthy / WINDOW, equations, p.valve_memory)
+    state = whether(usable * (1 - a.burst_told) * of_edges.samples > FEWEST) - 1
+    return told | {n: (*one, state) for n, one in zip(EDGES, of_edges.sizes, strict=True)}

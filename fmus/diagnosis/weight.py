@@ -4,9 +4,9 @@
 
 e_0 of the empty arm, e_m of a kilogram of payload, e_i of a kilogram of mass i of the arm; p = dT/dq', so no
 acceleration is needed. T contains the slewing, whose centrifugal force lifts the arm. x_q = dx/dq. The tare
-are the masses d_i that the arm has beyond the known ones, and the friction of its cylinders, dry F and viscous
-D, with the force Z that the zeros of their pressures make. It is learned without payload. Not near the ends
-of a stroke.
+are the masses d_i that the arm has beyond the known ones, and the friction of its cylinders, dry F and
+viscous D, with the force Z that the zeros of their pressures make. It is learned without payload. Not near
+the ends of a stroke.
 
 H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. A head that swings has
 one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its mean
@@ -29,7 +29,7 @@ import casadi as ca
 
 from fmus.contract import Scalar, Subsystem, flat, nested, quantities
 from fmus.controller.arm import ControlledAxis
-from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, Prior, States, Told, judged, whether
+from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, States, Told, judged, whether
 from fmus.diagnosis.readings import Axis
 from fmus.diagnosis.unknowns import FRICTION, Unknown, masses_of, reference
 from fmus.parameters import values
@@ -59,9 +59,9 @@ OfReadings = Callable[[Any], Mapping[str, Efforts]]  # by axis
 def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfReadings:
     """Efforts at each joint of the arm, by the mechanics of a machine with the values of its parameters.
 
-    Torque d(V - T)/dq [N.m] of weight and motion, momentum dT/dq' [N.m.s], and the change of the torque of the
-    weight with a turn of the arm in its plane [N.m/rad]: of the empty arm, of a kilogram of payload, and of a
-    kilogram more of each of its masses.
+    Torque d(V - T)/dq [N.m] of weight and motion, momentum dT/dq' [N.m.s], and the change of the torque of
+    the weight with a turn of the arm in its plane [N.m/rad]: of the empty arm, of a kilogram of payload, and
+    of a kilogram more of each of its masses.
     """
     known, arm, names = values(manipulator), [a for a in axes if not a.turns], masses_of(manipulator)
     masses, payload = ca.SX.sym("masses", len(names)), ca.SX.sym("payload")
@@ -95,13 +95,14 @@ def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfRead
 
 @dataclass(frozen=True)
 class Balance:
-    """Of one cylinder, behind the lag [N.m].
+    """Torques of one cylinder, behind the lag [N.m]; all zero if it does not count.
 
     counts    1: it is usable
     torque    beyond that of the empty arm
     columns   torque per size: payload, masses of the arm, friction
-    lever     of a horizontal force at the tip [m], 0 if it does not count
-    tilts     torque by a slope per rad: of the empty arm, of a kilogram of payload
+    lever     of a horizontal force at the tip [m]
+    tilts     by a slope per rad: of the empty arm, of a kilogram of payload
+    held      by dry friction of which the direction is not known, because the piston rests
     """
 
     counts: Scalar
@@ -109,6 +110,7 @@ class Balance:
     columns: Mapping[str, Scalar]
     lever: Scalar
     tilts: tuple[Scalar, Scalar]
+    held: Scalar
 
 
 def balance(a: Axis, efforts: Efforts) -> Balance:
@@ -118,32 +120,33 @@ def balance(a: Axis, efforts: Efforts) -> Balance:
     blocked = m.state("blocked", "Share of the torque from a time at an end of the stroke")
     free = whether(a.position > END) * whether(a.position < stroke - END)
     m.moves("blocked", ca.if_else(free > 0, -blocked / LAG, (1 - blocked) / QUICK))
+    counts = a.sound * a.speeds * whether(blocked < LEFT)
     for n, (torque, momentum, _) in efforts.items():
         late = m.lag(f"{n}_torque", torque, LAG, f"Torque of {n}, and its weight", "N.m")
-        columns[n] = (
-            late + (momentum - m.lag(f"{n}_momentum", momentum, LAG, f"Momentum of {n}", "N.m.s")) / LAG
-        )
+        change = momentum - m.lag(f"{n}_momentum", momentum, LAG, f"Momentum of {n}", "N.m.s")
+        columns[n] = counts * (late + change / LAG)
     shapes = a.lever * speed / ca.sqrt(speed**2 + SLOW**2), a.lever * speed, a.lever
-    for n, shape in zip(FRICTION, shapes, strict=True):
-        columns[f"{a.axis.name}_{n}"] = m.lag(f"late_{n}", shape, LAG, f"Torque per size of {n}")
-    tilts = [
-        m.lag(f"{n}_tilt", efforts[n][2], LAG, f"Torque by a slope, {n}", "N.m/rad")
+    dry, damping, zero = (
+        counts * m.lag(f"late_{n}", shape, LAG, f"Torque per size of {n}")
+        for n, shape in zip(FRICTION, shapes, strict=True)
+    )
+    columns |= {f"{a.axis.name}_{n}": v for n, v in zip(FRICTION, (dry, damping, zero), strict=True)}
+    held = a.reference(FRICTION[0]) * ca.sqrt(ca.fmax(zero**2 - dry**2, 0))
+    empty, load = (
+        counts * m.lag(f"{n}_tilt", efforts[n][2], LAG, f"Torque by a slope, {n}", "N.m/rad")
         for n in ("empty", "payload")
-    ]
+    )
     force = a.lever * a.actuator.force(*a.pressures)
-    torque = m.lag("torque", force, LAG, "Torque of the cylinder", "N.m") - columns.pop("empty")
-    counts = a.sound * a.speeds * whether(blocked < LEFT)
-    lever = m.lag("late_arm", a.radial, LAG, "Lever of a horizontal force at the tip", "m")
-    return Balance(counts, torque, columns, counts * lever, (tilts[0], tilts[1]))
+    torque = counts * m.lag("torque", force, LAG, "Torque of the cylinder", "N.m") - columns.pop("empty")
+    lever = counts * m.lag("late_arm", a.radial, LAG, "Lever of a horizontal force at the tip", "m")
+    return Balance(counts, torque, columns, lever, (empty, load), held)
 
 
-def without_horizontal(equations: Equations, levers: Sequence[Scalar], square: Scalar) -> Equations:
-    """Equations in which a horizontal force at the tip counts as little as its mean square [N2] demands."""
-    length = sum(h**2 for h in levers) + 1e-9
+def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
+    """Rows of equations, the right side last, in which a horizontal force counts by its mean square [N2]."""
+    length = ca.sumsqr(levers) + 1e-9
     share = (1 - 1 / ca.sqrt(1 + square * length / NOISE**2)) / length
-    h: Any = ca.vertcat(*levers)
-    table = ca.vertcat(*(ca.horzcat(*c, y) for c, y in equations))
-    calm = ca.densify(table - share * h @ (h.T @ table))
+    calm = ca.densify(table - share * levers @ (levers.T @ table))
     rows = (ca.horzsplit(row) for row in ca.vertsplit(calm))
     return [(columns, right) for *columns, right in rows]
 
@@ -155,72 +158,54 @@ def weighed(
 
     slewing   angle of the column [rad]
     """
-    count, several = sum(b.counts for b in balances), len(balances) > 1
-    mean = m.state("horizontal_square", "Mean square of a horizontal force at the tip", "N2", SWINGING**2)
-    square, levers = ca.fmax(mean, STEADY**2), [b.lever for b in balances]
-    length, along = sum(h**2 for h in levers) + 1e-9, (ca.cos(slewing), ca.sin(slewing))
-    of_load, of_force, of_tare = (
-        Fit(m, "payload", ("mass",)),
-        Fit(m, "weighing", ("f", "a", "b")),
-        _of_tare(m, tare),
+    count, length = sum(b.counts for b in balances), sum(b.lever**2 for b in balances) + 1e-9
+    torque, h, load, empty_tilt, load_tilt = (
+        ca.vertcat(*column)
+        for column in zip(
+            *((b.torque, b.lever, b.columns["payload"], *b.tilts) for b in balances), strict=True
+        )
     )
-    forces = of_force.solved(Prior((20, p.slope, p.slope), (0, 0, 0), 0.01, 0.5))
-    (force, off_force), *slope = forces
-    ((size, off),) = of_load.solved(Prior((20.0,), (0.0,), NOISE / TORQUE, 0.1))
-    off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)
-    tilt = sum(c * v for c, (v, _) in zip(along, slope, strict=True))
-
-    def equations(tilt: Scalar) -> Equations:
-        found = list[tuple[Sequence[Scalar], Scalar]]()
-        for b in balances:
-            left = b.torque - sum(reference(n, p) * b.columns.get(n.removesuffix("_off"), 0) for n in tare)
-            load = b.columns["payload"] + tilt * b.tilts[1]
-            found.append(
-                ([b.counts * HUNDRED * load / TORQUE], b.counts * (left - tilt * b.tilts[0]) / TORQUE)
-            )
-        return found
-
-    plain, calm = equations(0), without_horizontal(equations(tilt), levers, square)
+    mean = m.state("horizontal_square", "Mean square of a horizontal force at the tip", "N2", SWINGING**2)
+    square, along = ca.fmax(mean, STEADY**2), (ca.cos(slewing), ca.sin(slewing))
+    of_load = Fit(m, "payload", [(20.0, 0.0)], NOISE / TORQUE, 0.1)
+    of_force = Fit(m, "weighing", [(20, 0), (p.slope, 0), (p.slope, 0)], 0.01, 0.5)
+    ((size, off),) = of_load.sizes
+    (force, off_force), *slope = of_force.sizes
+    off, tilt = (
+        ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2),
+        ca.dot(ca.vertcat(*along), ca.vertcat(*(v for v, _ in slope))),
+    )
+    # the payload, without the tare and the slope; what is unknown fades always, and faster at a change
+    rows = ca.vertcat(
+        *(ca.horzcat(*(b.columns.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances)
+    )
+    left = torque - rows @ ca.vertcat(*(reference(n, p) for n in tare))
+    table = ca.horzcat(HUNDRED * (load + tilt * load_tilt), left - tilt * empty_tilt) / TORQUE
+    calm = without_horizontal(table, h, square)
     known = sum(c**2 for (c,), _ in calm) + 1e-9
     change = sum(c * y for (c,), y in calm) / known - size
     fading = (1 + change**2 / (CHANGED**2 + (NOISE / TORQUE) ** 2 / known)) / p.weighing_memory
     memory = 1 / ca.fmin(ca.if_else(count > 0, fading, 1 / p.weighing_memory), 1 / LAG)
     any_counts = whether(count > 0)
-    of_load.adds(any_counts / LAG + NEVER, calm, memory, any_counts)  # fades always
+    of_load.adds(any_counts / LAG + NEVER, calm, memory, any_counts)
     # the horizontal force, by what the payload leaves; one cylinder alone cannot tell it from a payload
-    left = [TORQUE * (y - size * c) for (c,), y in plain]
-    horizontal = sum(h * t for h, t in zip(levers, left, strict=True)) / length
-    by_payload = sum(h * c for h, ((c,), _) in zip(levers, plain, strict=True)) * TORQUE / length
-    both = whether(count > 1) if several else 0
+    both, horizontal = whether(count > 1), ca.dot(h, left - HUNDRED * size * load) / length
     m.moves("horizontal_square", both * (ca.fmin(horizontal**2, JUMPED * square) - mean) / FOLLOWED)
-    variance = NOISE**2 / length + (by_payload * off) ** 2
-    by_tilt = sum(
-        h * (b.tilts[0] + HUNDRED * size * b.tilts[1]) for h, b in zip(levers, balances, strict=True)
-    )
-    share = by_tilt / length / FORCE
+    variance = NOISE**2 / length + (HUNDRED * off * ca.dot(h, load) / length) ** 2
+    share = ca.dot(h, empty_tilt + HUNDRED * size * load_tilt) / length / FORCE
     weight = both / (1 + variance / FORCE**2) / (STROKE * LAG)
     of_force.adds(weight, [([1, *(share * c for c in along)], horizontal / FORCE)], BALANCE_MEMORY)
-    state = judged(
-        FORCE * ca.fabs(force), FORCE * off_force, p.weighing_limit, whether(of_force.samples > FEWEST)
-    )
-    told = {"weighing": (FORCE * force, FORCE * off_force, state)}
-    scales, rows = [u.prior for u in tare.values()], list[tuple[Sequence[Scalar], Scalar]]()
-    for b in balances:
-        columns = [b.columns.get(n.removesuffix("_off"), 0) for n in tare]
-        scaled = [b.counts * s * c / TORQUE for s, c in zip(scales, columns, strict=True)]
-        rows.append((scaled, b.counts * b.torque / TORQUE))
-    of_tare.adds(any_counts / LAG, without_horizontal(rows, levers, square), TARE_MEMORY, count)
-    return (HUNDRED * size, HUNDRED * off), told | _tare(of_tare, tare, p)
-
-
-def _of_tare(m: States, tare: Mapping[str, Unknown]) -> Fit:
-    return Fit(m, "tare", tuple(tare))
-
-
-def _tare(fit: Fit, tare: Mapping[str, Unknown], p: Any) -> dict[str, Told]:
-    """Sizes, over their priors; not known before some samples."""
-    references = [reference(n, p) / u.prior for n, u in tare.items()]
-    solution = fit.solved(Prior([1.0] * len(tare), references, NOISE / TORQUE, 0.1), weighed=True)
-    state = ca.if_else(solution.samples > FEWEST, 0, -1)
-    sized = zip(tare.items(), solution, strict=True)
-    return {n: (u.prior * size, u.prior * off, state) for (n, u), (size, off) in sized}
+    held = sum((b.lever * b.held) ** 2 for b in balances) / length**2 / FORCE**2
+    held = m.lag("held", held, FOLLOWED, "Mean square of a horizontal force held by friction", zero=True)
+    force, off_force = FORCE * force, FORCE * ca.sqrt(off_force**2 + held)
+    state = judged(ca.fabs(force), off_force, p.weighing_limit, whether(of_force.samples > FEWEST))
+    # the tare
+    scales = [u.prior for u in tare.values()]
+    priors = [(1.0, reference(n, p) / scale) for n, scale in zip(tare, scales, strict=True)]
+    of_tare = Fit(m, "tare", priors, NOISE / TORQUE, 0.1, weighed=True)
+    table = ca.horzcat(rows @ ca.diag(ca.vertcat(*scales)), torque) / TORQUE
+    of_tare.adds(any_counts / LAG, without_horizontal(table, h, square), TARE_MEMORY, count)
+    known = whether(of_tare.samples > FEWEST) - 1
+    sized = zip(tare, scales, of_tare.sizes, strict=True)
+    told = {n: (scale * v, scale * d, known) for n, scale, (v, d) in sized}
+    return (HUNDRED * size, HUNDRED * off), told | {"weighing": (force, off_force, state)}
