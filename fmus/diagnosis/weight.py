@@ -10,7 +10,8 @@ the ends of a stroke.
 
 H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. A head that swings has
 one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its mean
-square (generalised least squares with the covariance s^2 I + H^2 h h^T). Its mean is zero, as what hangs
+square (generalised least squares with the covariance s^2 I + H^2 h h^T). s is larger of a cylinder at rest,
+whose dry friction F has a direction that is not known. The mean of H is zero, as what hangs
 pulls down; if not, a pressure or an angle is wrong, or the machine stands on a slope. Gravity on a slope of a
 small angle is that of an arm turned by this angle in its plane, which varies with the slewing angle s:
 
@@ -41,7 +42,7 @@ LEFT = 0.05  # of a torque at the end of a stroke
 NOISE = 200.0  # N.m, s: of a torque
 CHANGED = 0.6  # hundred kg, from which a payload is another one
 FOLLOWED = 20.0  # s, in which the mean square of H follows
-STEADY, SWINGING = 30.0, 300.0  # N, root of that mean square: at least, and at the start
+STEADY, SWINGING, LARGEST = 30.0, 300.0, 1e3  # N, root of that mean square: at least, at the start, at most
 JUMPED = (
     9.0  # times the mean square: what counts of a larger force, as a payload that changes seems to be one
 )
@@ -158,25 +159,24 @@ def weighed(
 
     slewing   angle of the column [rad]
     """
-    count, length = sum(b.counts for b in balances), sum(b.lever**2 for b in balances) + 1e-9
-    torque, h, load, empty_tilt, load_tilt = (
-        ca.vertcat(*column)
-        for column in zip(
-            *((b.torque, b.lever, b.columns["payload"], *b.tilts) for b in balances), strict=True
-        )
+    count = sum(b.counts for b in balances)
+    trust = [NOISE / ca.sqrt(NOISE**2 + b.held**2) for b in balances]
+    signals = ((b.torque, b.lever, b.columns["payload"], *b.tilts, b.held) for b in balances)
+    torque, h, load, empty_tilt, load_tilt, held = (
+        ca.vertcat(*(t * v for t, v in zip(trust, column, strict=True)))
+        for column in zip(*signals, strict=True)
     )
     mean = m.state("horizontal_square", "Mean square of a horizontal force at the tip", "N2", SWINGING**2)
-    square, along = ca.fmax(mean, STEADY**2), (ca.cos(slewing), ca.sin(slewing))
+    square, along = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2), (ca.cos(slewing), ca.sin(slewing))
+    length = ca.sumsqr(h) + 1e-9
     of_load = Fit(m, "payload", [(20.0, 0.0)], NOISE / TORQUE, 0.1)
     of_force = Fit(m, "weighing", [(20, 0), (p.slope, 0), (p.slope, 0)], 0.01, 0.5)
     ((size, off),) = of_load.sizes
     (force, off_force), *slope = of_force.sizes
-    off, tilt = (
-        ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2),
-        ca.dot(ca.vertcat(*along), ca.vertcat(*(v for v, _ in slope))),
-    )
+    off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)
+    tilt = sum(c * v for c, (v, _) in zip(along, slope, strict=True))
     # the payload, without the tare and the slope; what is unknown fades always, and faster at a change
-    rows = ca.vertcat(
+    rows = ca.diag(ca.vertcat(*trust)) @ ca.vertcat(
         *(ca.horzcat(*(b.columns.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances)
     )
     left = torque - rows @ ca.vertcat(*(reference(n, p) for n in tare))
@@ -195,7 +195,7 @@ def weighed(
     share = ca.dot(h, empty_tilt + HUNDRED * size * load_tilt) / length / FORCE
     weight = both / (1 + variance / FORCE**2) / (STROKE * LAG)
     of_force.adds(weight, [([1, *(share * c for c in along)], horizontal / FORCE)], BALANCE_MEMORY)
-    held = sum((b.lever * b.held) ** 2 for b in balances) / length**2 / FORCE**2
+    held = ca.sumsqr(h * held) / length**2 / FORCE**2
     held = m.lag("held", held, FOLLOWED, "Mean square of a horizontal force held by friction", zero=True)
     force, off_force = FORCE * force, FORCE * ca.sqrt(off_force**2 + held)
     state = judged(ca.fabs(force), off_force, p.weighing_limit, whether(of_force.samples > FEWEST))
