@@ -20,7 +20,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import combinations
 from typing import Any
 
 import casadi as ca
@@ -31,7 +30,6 @@ SAMPLING = QUICK = 0.01  # s, between two samples of the diagnosis; in which a l
 FORGOTTEN = 0.1  # s, in which a sum is forgotten
 DOUBT = 4.0  # samples
 FEWEST = 10.0  # samples, from which a size is told
-ROUGH = 0.1  # of the squares that a size explains, may be left because its model is not exact
 CERTAIN = 3.0  # deviations by which a size is above its limit
 NOMINAL = {"V": 10.0, "Pa": 1e7, "m3": 1e-3, "m3/s": 1e-3}
 
@@ -100,7 +98,7 @@ class Fit:
     least    standard deviation of the right side, at least
     rough    that before any data
     most     that at most: what differs more is a change
-    rare     how many of the first sizes are faults, see `few`
+    rare     whether all sizes but the last one are faults, of which there is one at most
     weighed  whether a prior counts by the deviation that the right side turns out to have, not the least one
     """
 
@@ -112,7 +110,7 @@ class Fit:
         least: float,
         rough: float,
         most: float = math.inf,
-        rare: int = 0,
+        rare: bool = False,
         weighed: bool = False,
     ) -> None:
         self.m, self.name, self.priors, self.size = m, name, priors, len(priors)
@@ -148,7 +146,7 @@ class Fit:
             n[i, i] += weight
             squares += weight * reference**2
         if self.rare:
-            found, inverse = _with_few(n, b, self.rare, (CERTAIN * self.least) ** 2)
+            found, inverse = self._most_likely(n, b)
         else:
             factors = ca.ldl(ca.densify(n))
             inverse = ca.ldl_solve(ca.SX.eye(self.size), *factors)
@@ -157,6 +155,22 @@ class Fit:
         residual = ca.fmax(squares - 2 * ca.dot(b, s) + s.T @ n @ s, 0)
         variance = (residual + DOUBT * self.rough**2) / (self.samples + DOUBT)
         return found, inverse, ca.fmin(ca.fmax(variance, self.least**2), self.most**2)
+
+    def _most_likely(self, n: ca.SX, b: ca.SX) -> tuple[list[Scalar], ca.SX]:
+        """Least squares with one of the first sizes, not negative, or none of them; variances on a diagonal.
+
+        Faults are rare: a leak of one side is no leak of the seals with one of the other side. By the
+        generalised likelihood ratio the one is told that lessens the sum of squares most, by more than
+        `CERTAIN` deviations. The last size, which is free, is eliminated.
+        """
+        free = self.size - 1
+        alone = [n[k, k] - n[k, free] ** 2 / n[free, free] for k in range(free)]
+        right = [b[k] - n[k, free] * b[free] / n[free, free] for k in range(free)]
+        gains = [ca.fmax(r, 0) ** 2 / v for r, v in zip(right, alone, strict=True)]
+        best = ca.fmax(ca.mmax(ca.vertcat(*gains)), (CERTAIN * self.least) ** 2)
+        sizes = [ca.if_else(g >= best, r / v, 0) for g, r, v in zip(gains, right, alone, strict=True)]
+        left = b[free] - sum(n[k, free] * size for k, size in enumerate(sizes))
+        return [*sizes, left / n[free, free]], ca.diag(1 / ca.vertcat(*alone, n[free, free]))
 
     @cached_property
     def solution(self) -> tuple[list[Scalar], ca.SX]:
@@ -179,41 +193,6 @@ class Fit:
 
 def _root(variance: Scalar) -> Scalar:
     return ca.sqrt(ca.fmax(variance, 0))
-
-
-def _with_few(n: ca.SX, b: ca.SX, rare: int, worth: float) -> tuple[list[Scalar], ca.SX]:
-    """Least squares in which the first sizes are few and the last one is free; variances on a diagonal."""
-    some: Any = list(range(rare))
-    shared = n[some, rare] / n[rare, rare]
-    sizes, variances = few(n[some, some] - shared @ n[rare, some], b[some] - shared * b[rare], worth, ROUGH)
-    free = b[rare] / n[rare, rare] - ca.dot(shared, ca.vertcat(*sizes))
-    return [*sizes, free], ca.diag(ca.vertcat(*variances, 1 / n[rare, rare]))
-
-
-def few(
-    n: ca.SX, b: ca.SX, worth: float = 0.0, rough: float = 0.0, most: int = 2
-) -> tuple[list[Scalar], list[Scalar]]:
-    """Least squares with at most `most` sizes that are not negative, the others zero, and their variances.
-
-    The best of all such solutions; a further size has to lessen the sum of squares by `worth`, and by the
-    share `rough` of what is explained, because no model is exact. Faults are rare: a leak of one side is no
-    leak of the seals with one of the other side. The variance of a size at zero is that which it had alone.
-    """
-    best, found = ca.SX(0), [ca.SX(0)] * n.shape[0]
-    variances = [1 / n[i, i] for i in range(n.shape[0])]
-    for kept in (k for size in range(1, most + 1) for k in combinations(range(n.shape[0]), size)):
-        some: Any = list(kept)
-        inverse = ca.inv_minor(n[some, some])
-        sizes = inverse @ b[some]
-        gain = (1 - rough * (len(some) - 1)) * ca.dot(b[some], sizes) - worth * len(some)
-        gain = ca.if_else(ca.mmin(sizes) >= 0, gain, -1)
-        better, best = gain > best, ca.fmax(gain, best)
-        own = dict(zip(some, ca.vertsplit(sizes), strict=True))
-        found = [ca.if_else(better, own.get(k, 0), value) for k, value in enumerate(found)]
-        if len(some) > 1:
-            its = {k: inverse[i, i] for i, k in enumerate(some)}
-            variances = [ca.if_else(better, its.get(k, v), v) for k, v in enumerate(variances)]
-    return found, variances
 
 
 def whether(condition: Scalar) -> Scalar:

@@ -11,7 +11,7 @@ time:
 
 A valve that stays open after a stroke, by k_v, lets oil into the chamber that was filled last, and out of the
 other one: -k_v int sqrt(P_s - P) dt and k_v int sqrt(P - P_t) dt are added to the right sides. g and each k
-are not negative, and at most two of them are not zero. g is that of the oil as it is now. An equation is
+are not negative, and at most one of them is not zero. g is that of the oil as it is now. An equation is
 uncertain by the readings at both ends, by a flow, and by a share of the capacitance times the change of the
 pressure. The air is told from a fit of its own with a longer memory, of all functions together: they have the
 same oil. That of one function alone, after a hose was changed, is told above twice the limit.
@@ -37,6 +37,7 @@ other side says that its valve is open.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import casadi as ca
 
@@ -55,7 +56,7 @@ from fmus.diagnosis.estimates import (
     whether,
 )
 from fmus.diagnosis.readings import BLIND, ENDS, FILLED, LEAST_DROP, LONGER, PRESSURE, SMALL, Axis
-from fmus.diagnosis.unknowns import AIR, LITRE, chambers_of
+from fmus.diagnosis.unknowns import LITRE, TABLE, chambers_of
 from fmus.smooth import positive
 
 HOLDING = 0.8  # s, settling of a compensated section, whose counterbalance valves close last
@@ -92,10 +93,10 @@ def air_volume(pressure: Scalar) -> Scalar:
     return (ATMOSPHERE / ca.fmax(pressure + ATMOSPHERE, 0.1 * ATMOSPHERE)) ** (1 / EXPONENT)
 
 
-def air_limit(healthy: Scalar, p: object) -> Scalar:
+def air_limit(healthy: Scalar, p: Any) -> Scalar:
     """Air more than that of a healthy machine above which it is told; 0: none was measured."""
-    limit: Scalar = p.air_limit  # type: ignore[attr-defined]
-    return ca.if_else(healthy == 0, UNLEARNED * limit, limit + CHANGES * ca.fmax(healthy, 0))
+    known = p.air_limit + CHANGES * ca.fmax(healthy, 0)
+    return ca.if_else(healthy == 0, UNLEARNED * p.air_limit, known)
 
 
 def _rests(a: Axis) -> tuple[Equations, Scalar, Scalar]:
@@ -104,10 +105,9 @@ def _rests(a: Axis) -> tuple[Equations, Scalar, Scalar]:
     pushed = whether(ca.fabs(a.speed) > p.burst_margin)  # a load moves the arm on its oil
     calm = [whether(v > CALM) * whether(v < a.tight) * (1 - pushed) for v in a.pressures]
     spoiled = [m.state(f"spoiled_{k}", "1: another valve was open at the begin of this rest") for k in (0, 1)]
-    settled = m.state("settled", "Time for which the valve is closed, and no load opens another one", "s")
-    rest = m.state("rest", "Length of this rest, or of its present part", "s")
     settles = a.closed * a.sound * (1 - pushed * a.compensated)  # its counterbalance valves open then
-    m.moves("settled", ca.if_else(settles > 0, whether(settled < 2 * HOLDING), -settled / QUICK))
+    settled = m.sum("settled", "Time for which the valve is closed, and no load opens another", 1, settles)
+    rest = m.state("rest", "Length of this rest, or of its present part", "s")
     spoils = either(*((1 - c) * (1 - s) for c, s in zip(calm, spoiled, strict=True)))
     settling = ca.if_else(a.compensated > 0, HOLDING, p.settling)
     whole = a.closed * a.sound * whether(settled > settling) * whether(rest < PART)
@@ -120,44 +120,32 @@ def _rests(a: Axis) -> tuple[Equations, Scalar, Scalar]:
         m.moves(name, ca.if_else(goes_on > 0, growth, -total / QUICK))
         return total
 
-    difference = over(
-        "difference", "Integral of the difference of both pressures", "Pa.s", a.pressures[0] - a.pressures[1]
-    )
+    def root(pressure: Scalar) -> Scalar:
+        return ca.sqrt(positive(pressure, SMALL) / PRESSURE)
+
+    difference = over("difference", "Difference of both pressures", "Pa.s", a.pressures[0] - a.pressures[1])
     leakage = ca.if_else(a.compensated > 0, 0, actuator.valve.leakage)
     level, areas = a.u.supply_pressure + a.u.tank_pressure, (actuator.head_area, actuator.rod_area)
     rows, count = list[tuple[list[Scalar], Scalar]](), 0
     for k, (v, c) in enumerate(zip(a.pressures, a.capacitances, strict=True)):
-        sign, text = 1 - 2 * k, ENDS[k]
-        oil = over(
-            f"oil_{k}",
-            f"Loss but through the closed valve, {text}",
-            "m3",
-            leakage * (level - 2 * v) - a.flows[k],
+        sign, lost, end = 1 - 2 * k, leakage * (level - 2 * v) - a.flows[k], ENDS[k]
+        oil = over(f"oil_{k}", f"Loss but through the closed valve, {end}", "m3", lost)
+        pressed = over(f"pressed_{k}", f"Change of its pressure, {end}", "Pa", a.rate[2 + k])
+        jet = over(f"jet_{k}", f"Root of its pressure, {end}", "s", root(v))
+        growth = ca.if_else(
+            sign * a.trailing > 0, -root(a.u.supply_pressure - v), root(v - a.u.tank_pressure)
         )
-        pressed = over(f"pressed_{k}", f"Change of its pressure, {text}", "Pa", a.rate[2 + k])
-        root = over(
-            f"root_{k}",
-            f"Integral of the root of its pressure, {text}",
-            "s",
-            ca.sqrt(positive(v, SMALL) / PRESSURE),
-        )
-        filled_last = sign * a.trailing > 0
-        drop = ca.if_else(filled_last, a.u.supply_pressure - v, v - a.u.tank_pressure)
-        growth = ca.if_else(filled_last, -1, 1) * ca.sqrt(positive(drop, SMALL) / PRESSURE)
         through = over(
-            f"through_{k}", f"The same of the drop over the edge that was open last, {text}", "s", growth
+            f"through_{k}", f"Root of the drop over the edge that was open last, {end}", "s", growth
         )
-        m.moves(
-            f"spoiled_{k}", ca.if_else(goes_on * whether(rest > 0) > 0, 0, (1 - calm[k] - spoiled[k]) / QUICK)
-        )
+        change = ca.if_else(goes_on * whether(rest > 0) > 0, 0, 1 - calm[k] - spoiled[k])
+        m.moves(f"spoiled_{k}", change / QUICK)
         late = a.late[2 + k]
         air = c * p.bulk_modulus * (air_volume(late) - air_volume(late - pressed))
-        rounded = ROUNDED * (
-            (areas[k] * a.lever * p.angle_resolution) ** 2 + (c * p.pressure_resolution) ** 2
-        )
+        rounded = (areas[k] * a.lever * p.angle_resolution) ** 2 + (c * p.pressure_resolution) ** 2
         known = (REST_FLOW * rest) ** 2 + (SOFTNESS * c * pressed) ** 2
-        scale = (1 - spoiled[k]) / ca.sqrt(END_VOLUME**2 + rounded + known)
-        columns = [sign * difference / PRESSURE, (1 - k) * root, k * root, through, -air / LITRE]
+        scale = (1 - spoiled[k]) / ca.sqrt(END_VOLUME**2 + ROUNDED * rounded + known)
+        columns = [sign * difference / PRESSURE, (1 - k) * jet, k * jet, through, -air / LITRE]
         rows.append(([scale * LITRE * v for v in columns], scale * oil))
         count += 1 - spoiled[k]
     return rows, count, ends
@@ -166,23 +154,22 @@ def _rests(a: Axis) -> tuple[Equations, Scalar, Scalar]:
 def leaks(a: Axis) -> dict[str, Told]:
     """Sizes above their limits by three deviations."""
     p, names = a.p, [m.format("leak") for m in chambers_of(a.axis)]
-    rows, count, ends = _rests(a)
+    equations, count, ends = _rests(a)
     usable = a.usable * (1 - a.spool)
-    airy, healthy = AIR.prior if a.axis.turns else AIRY, a.reference("air")  # hoses of a motor
-    fit = Fit(a.m, "leaks", [*[(LEAK, 0)] * 4, (airy, 0)], 1.0, 2.0, MOST, rare=4)
-    trapped = Fit(a.m, "trapped", [(AIR.prior, healthy)], 1.0, 4.0)
+    foam, healthy = TABLE["axis"]["air"].prior, a.reference("air")
+    airy = foam if a.axis.turns else AIRY  # hoses of a motor
+    fit = Fit(a.m, "leaks", [*[(LEAK, 0)] * 4, (airy, 0)], 1.0, 2.0, MOST, rare=True)
+    trapped = Fit(a.m, "trapped", [(foam, healthy)], 1.0, 4.0)
     for one, memory, size in ((fit, p.memory, 5), (trapped, AIR_MEMORY, 1)):
-        one.adds(ends / QUICK, [(c[-size:], y) for c, y in rows], QUICK / (1 - ca.exp(-1 / memory)), count)
+        one.adds(
+            ends / QUICK, [(c[-size:], y) for c, y in equations], QUICK / (1 - ca.exp(-1 / memory)), count
+        )
     known = usable * (1 - a.burst_told) * whether(fit.samples > FEWEST_RESTS)
     jet = a.actuator.gain / a.actuator.valve.area * math.sqrt(PRESSURE)
     limit = p.leak_limit / LITRE * (SWAYING if a.axis.turns else 1)
     scales = (LITRE / PRESSURE, *[LITRE / jet] * 3)
-    told = {
-        n: (scale * size, scale * off, judged(size, off, limit, known))
-        for n, (size, off), scale in zip(
-            ("seal_leakage", *names, "valve_opening"), fit.sizes, scales, strict=False
-        )
-    }
+    rows = zip(("seal_leakage", *names, "valve_opening"), fit.sizes, scales, strict=False)
+    told = {n: (scale * s, scale * d, judged(s, d, limit, known)) for n, (s, d), scale in rows}
     if a.axis.turns:
         return {n: t for n, t in told.items() if n != "seal_leakage"}
     ((share, off),) = trapped.sizes
@@ -195,7 +182,7 @@ def spool(a: Axis) -> dict[str, Told]:
     """Whether it follows; which chambers do not fill although the valve is open."""
     p, m, supply, tank = a.p, a.m, a.u.supply_pressure, a.u.tank_pressure
     idle = whether(supply < STANDBY) * whether(supply > STOPPED)
-    missing, passed, a.hidden = list[Scalar](), list[Scalar](), list[Scalar]()
+    missing, passed = list[Scalar](), list[Scalar]()
     for k, area in enumerate((a.actuator.head_area, -a.actuator.rod_area)):
         flow, drop, full = a.edge(k)
         by_speed = area * a.lever * a.readings[1] * (1 - a.faulty[1])

@@ -80,15 +80,12 @@ class Diagnosis:
         q = self.arm.coordinates(u)
         pistons, radial = self.arm.pistons(q, p), [0, *(r for r, _ in self.arm.columns(q, p))]
         driven = self.arm.actuators([at for at, _ in pistons], p)
-        axes = [
-            Axis(a, driven[a.name], piston, r, replace(m, of=a.name), u, p)
-            for a, piston, r in zip(self.arm.axes, pistons, radial, strict=True)
-        ]
+        rows = zip(self.arm.axes, pistons, radial, strict=True)
+        axes = [Axis(a, driven[a.name], (*at, r), replace(m, of=a.name), u, p) for a, at, r in rows]
         speeds = 1 - either(*(a.faulty[1] for a in axes))
         margin = ca.mmin(ca.vertcat(*(a.least_drop for a in axes)))
         for a in axes:
             a.completed(1 - wrong, speeds, margin)
-            valves.command_of(a)
             checks = losses.leaks(a), losses.spool(a), losses.bursts(a), valves.valve(a), a.sensors()
             for n, one in (row for check in checks for row in check.items()):
                 told[n if n.endswith("_sensor") else f"{a.axis.name}_{n}"] = one
@@ -183,28 +180,24 @@ class Diagnosis:
         return total / weights, 1 / ca.sqrt(weights), healthy / weights, count
 
 
-def _parameters(
-    arm: Arm, known: Mapping[str, Number], all_unknowns: Mapping[str, Unknown]
-) -> tuple[Any, Any]:
+def _parameters(arm: Arm, known: Mapping[str, Number], unknowns: Mapping[str, Unknown]) -> tuple[Any, Any]:
     """Group of parameters, and their numbers: sensors there are, sizes of a healthy machine, settings."""
-    found = dict[str, tuple[Quantity, Number]]()
+    found, numbers = dict[str, Quantity](), dict(NUMBERS)
     for n in (*(n for a in arm.axes for n in signals_of(a)), *LINES):
         text = f"1: there is a reading of {n}, 0: there is none"
-        quantity = Quantity("1", text, minimum=0.0, maximum=1.0, group="Readings")
-        found[f"{n}_fitted"] = quantity, Number(1.0, "1", "assumed", "all sensors of the controller")
-    for n, k in all_unknowns.items():
+        found[f"{n}_fitted"] = Quantity("1", text, minimum=0.0, maximum=1.0, group="Readings")
+        numbers[f"{n}_fitted"] = Number(1.0, "1", "assumed", "all sensors of the controller")
+    for n, k in unknowns.items():
         if k.healthy is not None:
-            text = f"{k.text}; of the healthy machine"
-            number = Number(k.healthy, k.unit, "assumed", "no healthy machine was measured")
-            found[f"{n}_reference"] = Quantity(k.unit, text, k.nominal, group="Healthy machine"), number
+            text, full = f"{k.text}; of the healthy machine", f"{n}_reference"
+            found[full] = Quantity(k.unit, text, k.nominal, group="Healthy machine")
+            numbers[full] = Number(k.healthy, k.unit, "assumed", "no healthy machine was measured")
     flows = {n: q for n, q in quantities(gains(arm.axes)).items() if n.endswith("_section_flow")}
     nominal = Quantity("Pa", "Supply pressure, above which relief valves may be open", 1e7, group="Supply")
-    declared = flows | {"nominal_supply_pressure": nominal} | {n: q for n, (q, _) in found.items()}
+    declared = flows | {"nominal_supply_pressure": nominal} | found
     group = make_group("Parameters", declared, *arm.parameters, oil.Grade, Settings)
-    numbers = NUMBERS | {n: value for n, (_, value) in found.items()}
-    for n, q in quantities(oil.Grade).items():
-        numbers |= {n: Number(q.value, q.unit, "assumed", "VG 46")} if q.value is not None else {}
-    return group, numbers | {n: known[n] for n in quantities(group) if n not in numbers}
+    own = {n for n, q in quantities(group).items() if n not in numbers and q.value is None}
+    return group, numbers | {n: known[n] for n in quantities(group) if n in own}
 
 
 def _inputs(arm: Arm) -> dict[str, Quantity]:
@@ -217,17 +210,14 @@ def _inputs(arm: Arm) -> dict[str, Quantity]:
             found[n] = Quantity(unit, text, 1e7 if unit == "Pa" else 1.0)
     for (n, text), size in zip(LINES.items(), (1e7, 1e5), strict=True):
         found[n] = Quantity("Pa", text, size)
-    temperature = ports.oil_temperature("Temperature of the oil", optional="the oil stays at 60 degC")
-    found["oil_temperature"] = temperature
-    for n, text, optional in (
-        (
-            "gap",
-            "1: there are no readings now, or those before are of another time",
-            "readings come all the time",
-        ),
+    optional = "the oil stays at 60 degC"
+    found["oil_temperature"] = ports.oil_temperature("Temperature of the oil", optional=optional)
+    gap = "1: there are no readings now, or those before are of another time"
+    for n, text, without in (
+        ("gap", gap, "readings come all the time"),
         ("reset", "1: forget faults", "nothing is forgotten"),
     ):
-        found[n] = Quantity("1", text, minimum=0.0, maximum=1.0, optional=optional)
+        found[n] = Quantity("1", text, minimum=0.0, maximum=1.0, optional=without)
     return found
 
 

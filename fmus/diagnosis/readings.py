@@ -13,11 +13,11 @@ other, pressures each other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 
+from fmus.components.play import play_rate
 from fmus.components.spool_valve import opening
 from fmus.contract import Scalar
 from fmus.controller.arm import ControlledAxis
@@ -35,6 +35,7 @@ RELIEVED = 0.15  # of the supply pressure, by which a counterbalance valve may o
 LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
 NO_DROP = 1e9  # Pa, of a valve that fills nothing
 BLIND = 0.1  # s, for which flows are not known after a chamber was empty
+TRAVEL = 0.8  # V, command after a reversal from which a valve follows: 8 % of full command
 CLOSING = 0.1  # s, time constant with which a valve opens or closes at the latest: a slow pilot head, a bus
 MARGIN = 0.25  # V, what a command may be off a healthy valve: the machine at another temperature
 LONGER = 1.5  # s, after which a chamber is at rest, and its arm as well
@@ -65,19 +66,13 @@ class Axis:
     lines: Scalar = 1
     speeds: Scalar = 1
     margin: Scalar = NO_DROP
+    least_drop: Scalar = NO_DROP
 
     def __init__(
-        self,
-        axis: ControlledAxis,
-        actuator: Actuator,
-        piston: tuple[Scalar, Scalar],
-        radial: Scalar,
-        m: States,
-        u: Any,
-        p: Any,
+        self, axis: ControlledAxis, actuator: Actuator, piston: tuple[Scalar, ...], m: States, u: Any, p: Any
     ) -> None:
-        self.axis, self.actuator, self.radial, self.m, self.u, self.p = axis, actuator, radial, m, u, p
-        (self.position, self.lever), signals = piston, signals_of(axis)
+        self.axis, self.actuator, self.m, self.u, self.p = axis, actuator, m, u, p
+        (self.position, self.lever, self.radial), signals = piston, signals_of(axis)
         self.readings = [getattr(u, n) for n in signals]
         self.pressures = self.readings[2:]
         self.command = getattr(u, f"{axis.name}_command")
@@ -94,10 +89,13 @@ class Axis:
         fast = whether(ca.fabs(self.readings[1]) > FASTEST)
         moved = self.behind[0] - self.fitted[1] * (1 - fast) * p.lag * self.late[1]
         self.outside = [whether(ca.fabs(moved) > JUMP), fast, *(outside(v, p) for v in self.pressures)]
-        self.faulty = [
-            either(out, bad, 1 - known)
-            for out, bad, known in zip(self.outside, self._bad, self.fitted, strict=True)
-        ]
+        rows = zip(self.outside, self._bad, self.fitted, strict=True)
+        self.faulty = [either(out, bad, 1 - known) for out, bad, known in rows]
+        # the command behind the lag of the readings, and behind a play
+        self.late_command = m.lag("late_command", self.command, 2 * p.lag, "Command", "V")
+        self.trailing = m.state("trailing", "That behind a play", "V", self.command)
+        m.moves("trailing", play_rate(self.late_command, self.trailing, TRAVEL, 50.0, TRAVEL / 10))
+        self.hidden = list[Scalar]()  # s, for which a chamber does not fill although its valve is open
         self.spool = m.state("spool", "1: the spool does not follow")
         texts = (f"Largest loss beyond its valve, {end}" for end in ENDS)
         self.burst = [m.state(f"burst_{k}", text, "m3/s") for k, text in enumerate(texts)]
@@ -125,30 +123,22 @@ class Axis:
             m.moves(f"most_{k}", (now - most) / ca.if_else(now > most, QUICK, CLOSING))
             least = m.state(f"least_{k}", f"Least command that fills it, of the last time, {end}", "V")
             m.moves(f"least_{k}", (now - least) / ca.if_else(now < least, QUICK, CLOSING))
-            blind = either(
-                whether(pressure < p.zero_limit), whether(pressure > END * p.highest_pressure), relieved
-            )
-            known = m.state(f"known_{k}", f"Time for which its oil is known, limited, {end}", "s", LONGER)
-            m.moves(f"known_{k}", ca.if_else(blind > 0, -known / QUICK, whether(known < LONGER)))
+            ends = whether(pressure < p.zero_limit), whether(pressure > END * p.highest_pressure)
+            seen = 1 - either(*ends, relieved)
+            known = m.sum(f"known_{k}", f"Time for which its oil is known, {end}", 1, seen)
             self.most.append(most)
             self.least.append(least)
-            self.full.append(whether(known > BLIND) * (1 - blind))
-        drops = (
-            ca.if_else(most > p.closed_command, self.u.supply_pressure - v, NO_DROP)
-            for most, v in zip(self.most, self.pressures, strict=True)
-        )
-        self.least_drop = ca.fmin(*drops)
+            self.full.append(whether(known > BLIND) * seen)
+            drop = ca.if_else(most > p.closed_command, self.u.supply_pressure - pressure, NO_DROP)
+            self.least_drop = ca.fmin(self.least_drop, drop)
 
     def completed(self, lines: Scalar, speeds: Scalar, margin: Scalar) -> None:
         """What depends on the other functions."""
         m, (angle, _, head, rod) = self.m, self.faulty
         self.lines, self.speeds, self.margin = lines, speeds, margin
         self.sound = lines * (1 - either(angle, head, rod)) * self.connected
-        self.usable = m.state("usable", "1: the readings are usable")
-        m.moves("usable", (self.sound - self.usable) / QUICK)
-        self.shut = m.state("shut", "Time for which the valve is closed, limited", "s")
-        counts = self.closed * self.sound
-        m.moves("shut", ca.if_else(counts > 0, whether(self.shut < 2 * LONGER), -self.shut / QUICK))
+        self.usable = m.lag("usable", self.sound, QUICK, "1: the readings are usable", zero=True)
+        self.shut = m.sum("shut", "Time for which the valve is closed", 1, self.closed * self.sound)
 
     def edge(self, k: int) -> tuple[Scalar, Scalar, Scalar]:
         """Of the chamber that is filled: flow, drop over the edge, and flow at full opening [m3/s].
@@ -188,21 +178,17 @@ class Axis:
         moves = MOVES + 2 * p.angle_resolution / p.lag
         turns, goes = (whether(ca.fabs(v) > moves) for v in (self.late[1], self.rate[0]))
         differ = whether(ca.fabs(self.rate[0] - self.late[1]) > moves)
-        changes: Sequence[Scalar] = [
-            turns * (1 - self.outside[1]) * differ,
-            goes * (1 - self.outside[0]) * differ,
-        ]
         lively, least = LIVELY + STEPS * p.pressure_resolution, p.zero_limit + LOADED * p.pressure_resolution
-        for k in (2, 3):  # an empty chamber has a constant pressure
-            other = whether(ca.fabs(self.behind[5 - k]) > lively)
-            changes = [*changes, other * whether(self.readings[k] > least)]
+        changes = [turns * (1 - self.outside[1]) * differ, goes * (1 - self.outside[0]) * differ]
+        for pressure, other in zip(self.pressures, self.behind[:1:-1], strict=True):
+            # an empty chamber has a constant pressure
+            changes.append(whether(ca.fabs(other) > lively) * whether(pressure > least))
         for k, n in enumerate(signals_of(self.axis)):
             still = whether(ca.fabs(self.behind[k]) < STILL[k]) * self.connected
             text = f"Time for which {n} stands still although it should change"
             time = self.m.sum(f"still_{k}", text, changes[k], still)
             long = whether(time > p.still_time * (MOVING if k < 2 else 1))
-            self.m.latch(
-                f"bad_{k}", self._bad[k], either(self.outside[k] * self.connected, long) * self.fitted[k]
-            )
+            wrong = either(self.outside[k] * self.connected, long) * self.fitted[k]
+            self.m.latch(f"bad_{k}", self._bad[k], wrong)
             found[f"{n}_sensor"] = shown(self._bad[k], self.fitted[k])
         return found

@@ -24,26 +24,17 @@ from __future__ import annotations
 
 import casadi as ca
 
-from fmus.components.play import play_rate
 from fmus.contract import Scalar
 from fmus.diagnosis.estimates import FEWEST, Equations, Fit, Told, judged, whether
 from fmus.diagnosis.losses import CALM
-from fmus.diagnosis.readings import LEAST_DROP, Axis
+from fmus.diagnosis.readings import LEAST_DROP, TRAVEL, Axis
 from fmus.diagnosis.unknowns import EDGES, MAP, of_axis
 
-TRAVEL = 0.8  # V, command after a reversal from which a valve follows: 8 % of full command
 REGULATED = 1.8e6  # Pa, drop from which a compensated section holds its flow: 0.9 of the margin of the pump
 WINDOW = 0.15  # s, in which the command is one sample: five lags
 SLOW_MEMORY = 60.0  # s, a minute of work
 HYSTERESIS, DELAY = MAP[4:]
 DELAYS = 0.01  # s, deviation that is one sample of the mean lag
-
-
-def command_of(a: Axis) -> None:
-    """The command behind the lag of the readings, and behind a play."""
-    a.late_command = a.m.lag("late_command", a.command, 2 * a.p.lag, "Command", "V")
-    a.trailing = a.m.state("trailing", "That behind a play", "V", a.command)
-    a.m.moves("trailing", play_rate(a.late_command, a.trailing, TRAVEL, 50.0, TRAVEL / 10))
 
 
 def _map_equation(a: Axis) -> tuple[Scalar, Equations]:

@@ -87,7 +87,7 @@ def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfRead
     def efforts(u: Any) -> Mapping[str, Efforts]:
         now, columns = function(ca.vertcat(*(getattr(u, n) for n in inputs))), ("empty", "payload", *names)
         return {
-            a.name: {n: tuple(now[3 * k + j, i] for j in range(3)) for i, n in enumerate(columns)}  # type: ignore[misc]
+            a.name: {n: tuple(now[3 * k + j, i] for j in range(3)) for i, n in enumerate(columns)}
             for k, a in enumerate(arm)
         }
 
@@ -132,7 +132,7 @@ def balance(a: Axis, efforts: Efforts) -> Balance:
         for n, shape in zip(FRICTION, shapes, strict=True)
     )
     columns |= {f"{a.axis.name}_{n}": v for n, v in zip(FRICTION, (dry, damping, zero), strict=True)}
-    held = a.reference(FRICTION[0]) * ca.sqrt(ca.fmax(zero**2 - dry**2, 0))
+    held = a.reference(FRICTION[0]) * ca.sqrt(ca.fmax(zero**2 - dry**2, 0) / 3)  # of an even distribution
     empty, load = (
         counts * m.lag(f"{n}_tilt", efforts[n][2], LAG, f"Torque by a slope, {n}", "N.m/rad")
         for n in ("empty", "payload")
