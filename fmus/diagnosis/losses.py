@@ -43,18 +43,7 @@ import casadi as ca
 
 from fmus.components.chamber import ATMOSPHERE
 from fmus.contract import Scalar
-from fmus.diagnosis.estimates import (
-    FEWEST,
-    FORGOTTEN,
-    QUICK,
-    Equations,
-    Fit,
-    Told,
-    either,
-    judged,
-    shown,
-    whether,
-)
+from fmus.diagnosis.estimates import FEWEST, FORGOTTEN, QUICK, Fit, Told, either, judged, shown, whether
 from fmus.diagnosis.readings import BLIND, ENDS, FILLED, LEAST_DROP, LONGER, PRESSURE, SMALL, Axis
 from fmus.diagnosis.unknowns import LITRE, TABLE, chambers_of
 from fmus.smooth import positive
@@ -99,7 +88,7 @@ def air_limit(healthy: Scalar, p: Any) -> Scalar:
     return ca.if_else(healthy == 0, UNLEARNED * p.air_limit, known)
 
 
-def _rests(a: Axis) -> tuple[Equations, Scalar, Scalar]:
+def _rests(a: Axis) -> tuple[Any, Scalar, Scalar]:
     """Losses of both chambers in a rest, over their uncertainty; how many count; 1: it ends now."""
     m, p, actuator = a.m, a.p, a.actuator
     pushed = whether(ca.fabs(a.speed) > p.burst_margin)  # a load moves the arm on its oil

@@ -27,18 +27,7 @@ from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities, s
 from fmus.controller.arm import Arm
 from fmus.controller.gains import gains
 from fmus.diagnosis import losses, valves, weight
-from fmus.diagnosis.estimates import (
-    FEWEST,
-    QUICK,
-    SAMPLING,
-    Fit,
-    States,
-    Told,
-    either,
-    judged,
-    shown,
-    whether,
-)
+from fmus.diagnosis.estimates import FEWEST, SAMPLING, Fit, States, Told, either, judged, shown, whether
 from fmus.diagnosis.readings import Axis, outside
 from fmus.diagnosis.unknowns import (
     LINES,
@@ -97,9 +86,10 @@ class Diagnosis:
         air, off, healthy, count = self._together("air", told, p, AIR_OFF)
         more = air - ca.fmax(healthy, 0)
         told["oil_air"] = more, off, judged(more, off, losses.air_limit(healthy, p), whether(count > 0))
-        told["oil_temperature_high"] = shown(
-            m.lag("hot", whether(u.oil_temperature > p.temperature_limit), QUICK, "1: the oil is too hot")
+        hot = m.lag(
+            "hot", whether(u.oil_temperature > p.temperature_limit), SAMPLING, "1: the oil is too hot"
         )
+        told["oil_temperature_high"] = shown(hot)
         balances = [weight.balance(a, e) for a in axes if (e := self.efforts(u).get(a.axis.name))]
         slewing = next((a.readings[0] for a in axes if a.axis.turns), 0)
         payload, of_load = weight.weighed(balances, slewing, self.tare, m, p)
