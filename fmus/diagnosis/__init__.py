@@ -7,7 +7,7 @@ readings.py   one function as its readings show it, and its sensors
 losses.py, valves.py, weight.py      residuals of one function: oil that is lost, its valve, its load
 """
 
-from fmus.diagnosis.model import NAME, diagnosis
+from fmus.diagnosis.model import diagnosis
 from fmus.diagnosis.unknowns import findings
 
-__all__ = ["NAME", "diagnosis", "findings"]
+__all__ = ["diagnosis", "findings"]

@@ -26,24 +26,12 @@ from fmus.components import oil
 from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities, symbols, unknown
 from fmus.controller.arm import Arm
 from fmus.controller.gains import gains
-from fmus.diagnosis import losses, valves, weight
+from fmus.diagnosis import losses, unknowns, valves, weight
 from fmus.diagnosis.estimates import FEWEST, SAMPLING, Fit, States, Told, either, judged, shown, whether
 from fmus.diagnosis.readings import Axis, outside
-from fmus.diagnosis.unknowns import (
-    LINES,
-    LITRE,
-    MAP,
-    NUMBERS,
-    Settings,
-    Unknown,
-    findings,
-    reference,
-    signals_of,
-    tare_of,
-)
+from fmus.diagnosis.unknowns import LINES, LITRE, Unknown, reference, signals_of
 from fmus.parameters import Number
 
-NAME = "diagnosis"
 FLOW, BAR = 100 * LITRE, 1e5  # scales of the lines
 LAG = 0.3  # s, of flows and pressures of the lines: a pump needs as long to follow
 PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
@@ -144,7 +132,7 @@ class Diagnosis:
         counts = whether(changed > SUPPLY_OFF) * whether(learned > 0) * whether(pump.samples > FEWEST)
         time = m.sum("supply_other", "Time for which the supply pressure is another one", 1, counts)
         other = whether(time > 0)
-        maps = {a.name: [f"{a.name}_{n}" for n in MAP[:4]] for a in self.arm.axes}
+        maps = {a.name: [f"{a.name}_{n}" for n in unknowns.MAP[:4]] for a in self.arm.axes}
         count = sum(either(*(whether(told[n][2] > 0) for n in names)) for names in maps.values())
         wrong = other * whether(count > 1)
         hidden = {n: other for names in maps.values() for n in names}
@@ -170,14 +158,14 @@ class Diagnosis:
         return total / weights, 1 / ca.sqrt(weights), healthy / weights, count
 
 
-def _parameters(arm: Arm, known: Mapping[str, Number], unknowns: Mapping[str, Unknown]) -> tuple[Any, Any]:
+def _parameters(arm: Arm, known: Mapping[str, Number], sizes: Mapping[str, Unknown]) -> tuple[Any, Any]:
     """Group of parameters, and their numbers: sensors there are, sizes of a healthy machine, settings."""
-    found, numbers = dict[str, Quantity](), dict(NUMBERS)
+    found, numbers = dict[str, Quantity](), dict(unknowns.NUMBERS)
     for n in (*(n for a in arm.axes for n in signals_of(a)), *LINES):
         text = f"1: there is a reading of {n}, 0: there is none"
         found[f"{n}_fitted"] = Quantity("1", text, minimum=0.0, maximum=1.0, group="Readings")
         numbers[f"{n}_fitted"] = Number(1.0, "1", "assumed", "all sensors of the controller")
-    for n, k in unknowns.items():
+    for n, k in sizes.items():
         if k.healthy is not None:
             text, full = f"{k.text}; of the healthy machine", f"{n}_reference"
             found[full] = Quantity(k.unit, text, k.nominal, group="Healthy machine")
@@ -185,7 +173,7 @@ def _parameters(arm: Arm, known: Mapping[str, Number], unknowns: Mapping[str, Un
     flows = {n: q for n, q in quantities(gains(arm.axes)).items() if n.endswith("_section_flow")}
     nominal = Quantity("Pa", "Supply pressure, above which relief valves may be open", 1e7, group="Supply")
     declared = flows | {"nominal_supply_pressure": nominal} | found
-    group = make_group("Parameters", declared, *arm.parameters, oil.Grade, Settings)
+    group = make_group("Parameters", declared, *arm.parameters, oil.Grade, unknowns.Settings)
     own = {n for n, q in quantities(group).items() if n not in numbers and q.value is None}
     return group, numbers | {n: known[n] for n in quantities(group) if n in own}
 
@@ -228,8 +216,8 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
     known         values of the parameters of its controller
     manipulator   its mechanics, from which the weight of the empty arm follows
     """
-    all_unknowns = findings(arm, manipulator)
-    of = Diagnosis(arm, weight.efforts_of(manipulator, arm.axes), tare_of(arm, manipulator))
+    all_unknowns = unknowns.findings(arm, manipulator)
+    of = Diagnosis(arm, weight.efforts_of(manipulator, arm.axes), unknowns.tare_of(arm, manipulator))
     parameters, numbers = _parameters(arm, known, all_unknowns)
     inputs, outputs = make_group("Inputs", _inputs(arm)), make_group("Outputs", _outputs(all_unknowns))
     declared, _, _ = of.work(None, symbols(inputs), symbols(parameters))
@@ -246,7 +234,7 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
         return outputs(**found)
 
     sub = Subsystem(
-        name=NAME,
+        name="diagnosis",
         text="Diagnosis: leaks, bursts, valves, sensors, lines, air and payload, with their deviations",
         parameters=parameters,
         states=states,

@@ -266,3 +266,31 @@ def test_a_pump_that_stands_by_for_a_small_flow_is_no_fault(fmu):
     }
     assert turning(fmu, speed=0.05, command=1.55, **light) == np.inf
     assert turning(fmu, speed=0.0, command=5.0, **light) < 1.0
+
+
+def constant(**signals):
+    """Readings that do not change, of a machine at rest; a column may be given."""
+    sizes = {"boom_angle": 0.3, "stick_angle": -1.5, "supply_pressure": 2e7, "tank_pressure": 4e5}
+    sizes |= {"boom_head_pressure": 8.8e6, "boom_rod_pressure": 1.7e6, "oil_temperature": 330.0}
+    sizes |= {"stick_head_pressure": 3e6, "stick_rod_pressure": 3.4e6}
+    sizes |= {"swing_pressure_a": 3e6, "swing_pressure_b": 3e6}
+    time = np.arange(0, 3, 0.01)
+    return {"time": time} | {n: np.broadcast_to(v, len(time)) for n, v in (sizes | signals).items()}
+
+
+def changing(begin):
+    """A pressure that changes from a time on [s]."""
+    return 3.4e6 + 2e6 * np.sin(6 * np.clip(np.arange(0, 3, 0.01) - begin, 0, 9))
+
+
+@table(__file__, "settings", "finding, signals, low, high")
+def test_settings_decide_what_is_told(fmu, finding, signals, low, high):
+    """When [s] a finding is told: between these times, or never. Half or half more of its setting fails.
+
+    Readings are beyond a limit at once, or below it by 2 to 10 %; a pressure that stands still is told
+    `still_time` after the other one has left its lag, in 20 ms; a spool `response_time` after the opening
+    that was asked for has come through `closing`, in 110 ms.
+    """
+    columns = constant(**{n: changing(v[0]) if isinstance(v, list) else v for n, v in signals.items()})
+    when = since(run(fmu, columns, stop=2.9, step=0.01, record="*"), f"{finding}_state")
+    assert low <= when <= high
