@@ -91,6 +91,7 @@ class States:
         return total
 
 
+@dataclass
 class Fit:
     """Least squares of an equation, without units.
 
@@ -102,23 +103,22 @@ class Fit:
     weighed  whether a prior counts by the deviation that the right side turns out to have, not the least one
     """
 
-    def __init__(
-        self,
-        m: States,
-        name: str,
-        priors: Sequence[tuple[Scalar, Scalar]],
-        least: float,
-        rough: float,
-        most: float = math.inf,
-        rare: bool = False,
-        weighed: bool = False,
-    ) -> None:
-        self.m, self.name, self.priors, self.size = m, name, priors, len(priors)
-        self.least, self.rough, self.most, self.rare, self.weighed = least, rough, most, rare, weighed
+    m: States
+    name: str
+    priors: Sequence[tuple[Scalar, Scalar]]
+    least: float
+    rough: float
+    most: float = math.inf
+    rare: bool = False
+    weighed: bool = False
+
+    def __post_init__(self) -> None:
+        self.size = len(self.priors)
         size = range(self.size)
         self.products = [(i, j) for j in size for i in range(j + 1)]
         keys = [*(f"{i}_{j}" for i, j in self.products), *(f"{i}_y" for i in size), "yy", "w"]
-        self.sums = {k: m.state(f"{name}_{k}", f"Sum of normal equations, {name} {k}") for k in keys}
+        text = f"Sum of normal equations, {self.name}"
+        self.sums = {k: self.m.state(f"{self.name}_{k}", f"{text} {k}") for k in keys}
         self.samples = self.sums["w"]  # in the memory
 
     def adds(self, weight: Scalar, equations: Equations, memory: Scalar, count: Scalar | None = None) -> None:
