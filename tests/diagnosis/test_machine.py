@@ -1,10 +1,12 @@
 """The diagnosis beside a machine: it finds what is broken, and nothing in a healthy machine."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from kit import shards
 from kit.mistakes import table
 
+from fmus.contract import flat, quantities, stack, symbols
 from fmus.controller.harvester import ARM
 from fmus.diagnosis import findings
 from fmus.machine.parts import MACHINES, feric
@@ -322,3 +324,33 @@ def test_settings_decide_what_is_told(fmu, finding, signals, low, high):
     columns = constant(**{n: changing(v[0]) if isinstance(v, list) else v for n, v in signals.items()})
     when = since(run(fmu, columns, stop=2.9, step=0.01, record="*"), f"{finding}_state")
     assert low <= when <= high
+
+
+@pytest.fixture(scope="module")
+def outputs():
+    """outputs(states, parameters): of the diagnosis in these states, the others zero."""
+    sub = feric(faults=True).diagnosis
+    x, p = symbols(sub.states), symbols(sub.parameters)
+    y, known = flat(sub.observe(x, None, p)), values(sub).p
+    function = ca.Function("outputs", [stack(x), stack(p)], [ca.vertcat(*y.values())])
+
+    def found(states, parameters):
+        rows = ([states.get(n, 0.0) for n in quantities(sub.states)], list((known | parameters).values()))
+        return dict(zip(y, function(*rows).full().ravel(), strict=True))
+
+    return found
+
+
+@table(__file__, "limits", "fit, sizes, below, above, parameters, finding")
+def test_a_size_is_told_beyond_its_limit(outputs, fit, sizes, below, above, parameters, finding):
+    """A quarter below its limit it is none, a quarter above it is: a limit of half or half more fails.
+
+    Of sums of a million samples of which each tells one size. The air of functions differs by 0.003, three of
+    which count as well; its limit is 1.2 times what was learned more.
+    """
+    for size, expected in ((below, 0), (above, 1)):
+        known = [size if v == "x" else v for v in sizes]
+        sums = {f"{fit}_{k}_{k}": 1e6 for k in range(len(known))} | {f"{fit}_w": 1e6}
+        sums |= {f"{fit}_{k}_y": 1e6 * v for k, v in enumerate(known)} | {"boom_usable": 1.0}
+        sums |= {f"{fit}_yy": 1e6 * sum(v * v for v in known)}
+        assert outputs(sums, parameters)[f"{finding}_state"] == expected
