@@ -16,8 +16,7 @@ of its last change and a lag T; s and d of each direction. It counts if u has mo
 turned, the edge is open, no anti-cavitation valve is, and the drop over it is not small. Of compensated
 sections the least drop of all that are open counts: they share the flow of a pump that cannot give more. Gain
 and dead band are judged together, by the mean of v over all samples of a direction. The lag is a mean over a
-minute of motion, since a filter clogs slowly. A lag is one in slow ramps: not if u is `TRAVEL` behind the
-command. Samples that are `valve_memory` apart count as independent.
+minute of motion, since a filter clogs slowly. Samples that are `valve_memory` apart count as independent.
 """
 
 from __future__ import annotations
@@ -54,7 +53,6 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
         * whether(drop > ca.if_else(a.compensated > 0, REGULATED, LEAST_DROP))
         * whether(filled > CALM)
         * whether(ca.fabs(gone) > 0.9)
-        * whether(ca.fabs(a.command - late) < TRAVEL)
         * (1 - a.closed)
         * ca.if_else(up > 0, *a.full)
     )
