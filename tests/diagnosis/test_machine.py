@@ -259,15 +259,17 @@ def test_a_leak_is_told_above_its_limit(fmu):
     assert float(large["swing_leak_b_deviation"][-1]) == pytest.approx(expected, rel=0.1)
 
 
-def turning(fmu, low, high, speed, command=0.0, supply=2e7, parameters=None):
+def turning(
+    fmu, low, high, speed, command=0.0, supply=2e7, parameters=None, tank=3e5, told="swing_spool_state"
+):
     """When [s] the spool of a swing that turns at constant readings is told; infinite: not within 2 s."""
     time = np.arange(0, 3, 0.01)
     signals = {"swing_pressure_a": low, "swing_pressure_b": high, "supply_pressure": supply}
-    signals |= {"tank_pressure": 3e5, "swing_speed": speed, "swing_command": command}
+    signals |= {"tank_pressure": tank, "swing_speed": speed, "swing_command": command}
     columns = {n: np.full(len(time), v) for n, v in signals.items()}
     columns |= {"time": time, "swing_angle": speed * time}
     result = run(fmu, columns, stop=2.0, step=0.01, record="*", set=parameters or {})
-    return since(result, "swing_spool_state")
+    return since(result, told)
 
 
 def test_oil_through_a_relief_valve_does_not_pass_the_spool(fmu):
@@ -283,6 +285,27 @@ def test_a_small_command_closes_a_valve(fmu):
     """Oil that passes at 0.15 V is told as its spool; 0.25 V may have opened it."""
     assert turning(fmu, 8e5, 2.0e7, 0.5, 0.15) < 1.0
     assert turning(fmu, 8e5, 2.0e7, 0.5, 0.25) == np.inf
+
+
+def test_the_oil_of_a_chamber_is_known_above_the_zero_of_its_sensor(fmu):
+    """Oil that passes the closed valve is seen at 3.5 bar, not at 2.5, where the chamber may be empty."""
+    assert turning(fmu, 3.5e5, 2.0e7, 0.5, tank=0.0) < 1.0
+    assert turning(fmu, 2.5e5, 2.0e7, 0.5, tank=0.0) == np.inf
+
+
+def test_a_burst_is_told_when_its_volume_is_lost(fmu):
+    """Line B loses D w beyond `burst_margin`, which no other line gains, until it is `burst_volume`.
+
+    The flow comes through a lag of 0.03 s and counts from 0.1 s on; three readings more or less.
+    """
+    seen = load(fmu).components["diagnosis"].interface.variables
+    displacement = np.prod([float(seen[n].starts[0]) for n in ("motor_displacement", "gear_ratio")])
+    flow, margin, volume = 5e-4, 2.5e-4, 3e-5
+    time = np.linspace(0.1, 1, 10_000)
+    lost = np.cumsum(flow * (1 - np.exp(-time / 0.03)) - margin) * (time[1] - time[0])
+    expected = time[(lost > volume).argmax()]
+    when = turning(fmu, 4e5, 5e6, flow / displacement, told="swing_burst_b_state")
+    assert when == pytest.approx(expected, abs=0.03)
 
 
 def test_a_pump_that_stands_by_for_a_small_flow_is_no_fault(fmu):
