@@ -1,12 +1,13 @@
 """Diagnosis of a machine from the readings of its controller: what is broken, how much, and how certain.
 
-model.py      the subsystem, and what concerns all functions: lines, pump, oil, payload
-axis.py       one function as its readings show it, and what a check is
-leaks.py, valves.py, sensors.py, weight.py      the checks of one function
-estimates.py  least squares with a fading memory, and when a size is told
-settings.py   limits and time constants from settings.toml, with their reasons
+model.py      the subsystem, and what concerns all functions: lines, pump, oil
+unknowns.py   the table of what may be broken; limits and time constants (settings.toml, with their reasons)
+estimates.py  states, least squares with a fading memory, cumulative sums, and when a size is told
+readings.py   one function as its readings show it, and its sensors
+losses.py, valves.py, weight.py      residuals of one function: oil that is lost, its valve, its load
 """
 
-from fmus.diagnosis.model import NAME, diagnosis, findings
+from fmus.diagnosis.model import diagnosis
+from fmus.diagnosis.unknowns import findings
 
-__all__ = ["NAME", "diagnosis", "findings"]
+__all__ = ["diagnosis", "findings"]

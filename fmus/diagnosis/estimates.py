@@ -1,181 +1,198 @@
-"""Least squares with a fading memory, as sums that are states, and when a size is told.
+"""The mechanism of the diagnosis: states, one least squares, one cumulative sum, and when something is told.
+
+**Least squares** with a fading memory, in the information form, whose sums are states:
 
     N' = w sum(c c^T) - N/T        b' = w sum(c y) - b/T        T counts only time with w > 0
 
-of the equations y = c^T s with columns c and sizes s. Each size has a prior, `reference` with a standard
-deviation, so a size without data stays there. The covariance is r^2 N^-1 with the standard deviation r of the
+of residuals y = c^T s with columns c and unknowns s. Each unknown has a prior, `reference` with a standard
+deviation, so one without data stays there. The covariance is r^2 N^-1 with the standard deviation r of the
 right side: that of the residual, in which one assumed before any data counts as `DOUBT` samples, and no less
-than the known one. Samples, of one per time constant of the weight, count as independent.
+than the known one. Samples, of one per time constant of the weight, count as independent. A size is a fault
+if it is beyond its limit by `CERTAIN` deviations.
+
+**Cumulative sum** (Page, Biometrika 41 (1954) 100): an excess beyond a margin is summed, and never negative;
+a fault at a limit of the sum.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 
-from fmus.contract import Scalar
+from fmus.contract import Quantity, Scalar
 
-SAMPLING = 0.01  # s, between two samples of the diagnosis
-QUICK = SAMPLING  # s, in which a latch or a clock is set
-FORGOTTEN = 0.1  # s, in which a volume is forgotten
+SAMPLING = QUICK = 0.01  # s, between two samples of the diagnosis; in which a latch or a sum is set
+FORGOTTEN = 0.1  # s, in which a sum is forgotten
 DOUBT = 4.0  # samples
 FEWEST = 10.0  # samples, from which a size is told
-ROUGH = 0.1  # of the squares that a size explains, may be left because its model is not exact
 CERTAIN = 3.0  # deviations by which a size is above its limit
+NOMINAL = {"V": 10.0, "Pa": 1e7, "m3": 1e-3, "m3/s": 1e-3}
 
 Equations = Sequence[tuple[Sequence[Scalar], Scalar]]  # columns and right side of each
 Told = tuple[Scalar, Scalar, Scalar]  # size, deviation; 1: a fault, 0: none, -1: cannot be told
 
 
 @dataclass(frozen=True)
-class Solution:
-    """Of normal equations: sizes, their covariance, number of samples, deviation of the right side."""
+class States:
+    """States of an algorithm, each declared where its rate is written.
 
-    sizes: list[Scalar]
-    covariance: ca.SX
-    samples: Scalar
-    scatter: Scalar
-
-    def __iter__(self) -> Iterator[tuple[Scalar, Scalar]]:
-        """Each size with its deviation."""
-        return ((s, _root(self.covariance[i, i])) for i, s in enumerate(self.sizes))
-
-    def along(self, *weights: Scalar) -> tuple[Scalar, Scalar]:
-        """A sum of sizes with these weights, and its deviation."""
-        w = ca.vertcat(*weights)
-        return ca.dot(w, ca.vertcat(*self.sizes)), _root(w.T @ self.covariance @ w)
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is known before any data.
-
-    deviations, references   of the sizes
-    least                    standard deviation of the right side, at least
-    rough                    that before any data
-    most                     that at most: what differs more is a change
+    x        their values; None: new symbols, to find out which states there are
+    reset    1: forget what is latched
+    of       what they describe, and begin of their names
+    declared, rates, starts   by full name, for all parts of an algorithm
     """
 
-    deviations: Sequence[Scalar]
-    references: Sequence[Scalar]
-    least: float
-    rough: float
-    most: float = math.inf
+    x: Any = None
+    reset: Scalar = 0
+    of: str = ""
+    declared: dict[str, Quantity] = field(default_factory=dict)
+    rates: dict[str, Scalar] = field(default_factory=dict)
+    starts: dict[str, Scalar] = field(default_factory=dict)
+
+    def full(self, name: str) -> str:
+        """Its name."""
+        return f"{self.of}_{name}" if self.of else name
+
+    def state(self, name: str, text: str, unit: str = "1", start: Scalar | None = None) -> Scalar:
+        """Its value; `moves` or `latch` gives its rate."""
+        full, text = self.full(name), f"{text}: {self.of}" if self.of else text
+        self.declared[full] = Quantity(unit, text, NOMINAL.get(unit, 1.0))
+        if start is not None:
+            self.starts[full] = start
+        return ca.SX.sym(full) if self.x is None else getattr(self.x, full)
+
+    def moves(self, name: str, rate: Scalar) -> None:
+        """Its rate."""
+        self.rates[self.full(name)] = rate
+
+    def latch(self, name: str, value: Scalar, size: Scalar) -> None:
+        """It goes up to a size, and stays there until the reset."""
+        self.moves(name, (ca.fmax(size - value, 0) - value * self.reset) / QUICK)
+
+    def lag(
+        self, name: str, now: Scalar, time: Scalar, text: str, unit: str = "1", zero: bool = False
+    ) -> Scalar:
+        """A signal behind a lag of first order [s], which starts at the signal, or at zero."""
+        late = self.state(name, f"{text}, behind a lag", unit, None if zero else now)
+        self.moves(name, (now - late) / time)
+        return late
+
+    def sum(
+        self, name: str, text: str, excess: Scalar, counts: Scalar, unit: str = "s", fade: float = QUICK
+    ) -> Scalar:
+        """Cumulative sum of an excess [unit/s] while it counts, forgotten while not."""
+        total = self.state(name, text, unit)
+        self.moves(name, ca.fmax(excess * counts - (1 - counts) * total / fade, -total / QUICK))
+        return total
 
 
-@dataclass(frozen=True)
+@dataclass
 class Fit:
     """Least squares of an equation, without units.
 
-    apart   pairs of columns of which one is always zero
+    priors   standard deviation and reference of each size
+    least    standard deviation of the right side, at least
+    rough    that before any data
+    most     that at most: what differs more is a change
+    rare     whether all sizes but the last one are faults, of which there is one at most
+    weighed  whether a prior counts by the deviation that the right side turns out to have, not the least one
     """
 
+    m: States
     name: str
-    columns: tuple[str, ...]
-    apart: frozenset[frozenset[str]] = frozenset()
+    priors: Sequence[tuple[Scalar, Scalar]]
+    least: float
+    rough: float
+    most: float = math.inf
+    rare: bool = False
+    weighed: bool = False
 
-    @property
-    def _products(self) -> list[tuple[int, int]]:
-        pairs = [(i, j) for j in range(len(self.columns)) for i in range(j + 1)]
-        return [(i, j) for i, j in pairs if frozenset((self.columns[i], self.columns[j])) not in self.apart]
+    def __post_init__(self) -> None:
+        self.size = len(self.priors)
+        size = range(self.size)
+        self.products = [(i, j) for j in size for i in range(j + 1)]
+        keys = [*(f"{i}_{j}" for i, j in self.products), *(f"{i}_y" for i in size), "yy", "w"]
+        text = f"Sum of normal equations, {self.name}"
+        self.sums = {k: self.m.state(f"{self.name}_{k}", f"{text} {k}") for k in keys}
+        self.samples = self.sums["w"]  # in the memory
 
-    @property
-    def states(self) -> list[str]:
-        """Names of the sums."""
-        sums = [f"{i}{j}" for i, j in self._products] + [f"{i}y" for i in range(len(self.columns))]
-        return [f"{self.name}_{s}" for s in (*sums, "yy", "w")]
-
-    def rates(
-        self, x: Any, weight: Scalar, equations: Equations, memory: Scalar, count: Scalar | None = None
-    ) -> dict[str, Scalar]:
-        """Of the sums; weight [1/s], memory [s]; count: of equations, without it all."""
-        terms = [sum(c[i] * c[j] for c, _ in equations) for i, j in self._products]
-        terms += [sum(c[i] * y for c, y in equations) for i in range(len(self.columns))]
+    def adds(self, weight: Scalar, equations: Equations, memory: Scalar, count: Scalar | None = None) -> None:
+        """Rates of the sums; weight [1/s], memory [s]; count: of equations, without it all."""
+        terms = [sum(c[i] * c[j] for c, _ in equations) for i, j in self.products]
+        terms += [sum(c[i] * y for c, y in equations) for i in range(self.size)]
         terms += [sum(y * y for _, y in equations), len(equations) if count is None else count]
         fade = ca.if_else(weight > 0, 1 / memory, 0)
-        return {n: weight * t - fade * getattr(x, n) for n, t in zip(self.states, terms, strict=True)}
+        for (key, total), term in zip(self.sums.items(), terms, strict=True):
+            self.m.moves(f"{self.name}_{key}", weight * term - fade * total)
 
-    def centre(self, x: Any, k: int) -> list[Scalar]:
+    def centre(self, k: int) -> list[Scalar]:
         """Mean of the columns, where the column k is -1 and not 0: what is known best along it."""
-        sums = {frozenset(pair): getattr(x, f"{self.name}_{pair[0]}{pair[1]}") for pair in self._products}
-        count = ca.fmax(sums[frozenset((k,))], 1e-9)
-        return [-sums.get(frozenset((k, i)), 0) / count for i in range(len(self.columns))]
+        rows = [self.sums[f"{min(i, k)}_{max(i, k)}"] for i in range(self.size)]
+        return [-row / ca.fmax(rows[k], 1e-9) for row in rows]
 
-    def solved(self, x: Any, prior: Prior, rare: int = 0, weighed: bool = False) -> Solution:
-        """Sizes with their covariance.
-
-        rare      how many of the first ones are faults, see `few`
-        weighed   a prior counts by the deviation that the right side turns out to have, not by the least one
-        """
-        if weighed:
-            scatter = self.solved(x, prior, rare).scatter
-            prior = replace(prior, deviations=[d * prior.least / scatter for d in prior.deviations])
-        size = len(self.columns)
-        n, b = ca.SX(size, size), ca.SX(size, 1)
-        for i, j in self._products:
-            n[i, j] = n[j, i] = getattr(x, f"{self.name}_{i}{j}")
-        weights = [(prior.least / d) ** 2 for d in prior.deviations]
-        for i, (weight, reference) in enumerate(zip(weights, prior.references, strict=True)):
-            b[i] = getattr(x, f"{self.name}_{i}y") + weight * reference
+    def _solved(self, spread: Scalar) -> tuple[list[Scalar], ca.SX, Scalar]:
+        """Sizes, inverse of the normal equations, variance of the right side; priors relative to a spread."""
+        n, b, squares = ca.SX(self.size, self.size), ca.SX(self.size, 1), self.sums["yy"]
+        for i, j in self.products:
+            n[i, j] = n[j, i] = self.sums[f"{i}_{j}"]
+        for i, (deviation, reference) in enumerate(self.priors):
+            weight = (spread / deviation) ** 2
+            b[i] = self.sums[f"{i}_y"] + weight * reference
             n[i, i] += weight
-        if rare:
-            found, inverse = _with_few(n, b, rare, (CERTAIN * prior.least) ** 2)
+            squares += weight * reference**2
+        if self.rare:
+            found, inverse = self._most_likely(n, b)
         else:
             factors = ca.ldl(ca.densify(n))
-            inverse = ca.ldl_solve(ca.SX.eye(size), *factors)
+            inverse = ca.ldl_solve(ca.SX.eye(self.size), *factors)
             found = ca.vertsplit(ca.ldl_solve(b, *factors))
-        s, samples = ca.vertcat(*found), getattr(x, f"{self.name}_w")
-        squares = getattr(x, f"{self.name}_yy") + sum(
-            w * r**2 for w, r in zip(weights, prior.references, strict=True)
-        )
+        s = ca.vertcat(*found)
         residual = ca.fmax(squares - 2 * ca.dot(b, s) + s.T @ n @ s, 0)
-        variance = (residual + DOUBT * prior.rough**2) / (samples + DOUBT)
-        variance = ca.fmin(ca.fmax(variance, prior.least**2), prior.most**2)
-        return Solution(found, variance * inverse, samples, ca.sqrt(variance))
+        variance = (residual + DOUBT * self.rough**2) / (self.samples + DOUBT)
+        return found, inverse, ca.fmin(ca.fmax(variance, self.least**2), self.most**2)
+
+    def _most_likely(self, n: ca.SX, b: ca.SX) -> tuple[list[Scalar], ca.SX]:
+        """Least squares with one of the first sizes, not negative, or none of them; variances on a diagonal.
+
+        Faults are rare: a leak of one side is no leak of the seals with one of the other side. By the
+        generalised likelihood ratio the one is told that lessens the sum of squares most, by more than
+        `CERTAIN` deviations. The last size, which is free, is eliminated.
+        """
+        free = self.size - 1
+        alone = [n[k, k] - n[k, free] ** 2 / n[free, free] for k in range(free)]
+        right = [b[k] - n[k, free] * b[free] / n[free, free] for k in range(free)]
+        gains = [ca.fmax(r, 0) ** 2 / v for r, v in zip(right, alone, strict=True)]
+        best = ca.fmax(ca.mmax(ca.vertcat(*gains)), (CERTAIN * self.least) ** 2)
+        sizes = [ca.if_else(g >= best, r / v, 0) for g, r, v in zip(gains, right, alone, strict=True)]
+        left = b[free] - sum(n[k, free] * size for k, size in enumerate(sizes))
+        return [*sizes, left / n[free, free]], ca.diag(1 / ca.vertcat(*alone, n[free, free]))
+
+    @cached_property
+    def solution(self) -> tuple[list[Scalar], ca.SX]:
+        """Sizes, and their covariance."""
+        spread = ca.sqrt(self._solved(self.least)[2]) if self.weighed else self.least
+        found, inverse, variance = self._solved(spread)
+        return found, variance * inverse
+
+    @property
+    def sizes(self) -> list[tuple[Scalar, Scalar]]:
+        """Each size with its deviation."""
+        found, covariance = self.solution
+        return [(s, _root(covariance[i, i])) for i, s in enumerate(found)]
+
+    def along(self, *weights: Scalar) -> tuple[Scalar, Scalar]:
+        """A sum of sizes with these weights, and its deviation."""
+        w, (found, covariance) = ca.vertcat(*weights), self.solution
+        return ca.dot(w, ca.vertcat(*found)), _root(w.T @ covariance @ w)
 
 
 def _root(variance: Scalar) -> Scalar:
     return ca.sqrt(ca.fmax(variance, 0))
-
-
-def _with_few(n: ca.SX, b: ca.SX, rare: int, worth: float) -> tuple[list[Scalar], ca.SX]:
-    """Least squares in which the first sizes are few and the last one is free; variances on a diagonal."""
-    some: Any = list(range(rare))
-    shared = n[some, rare] / n[rare, rare]
-    sizes, variances = few(n[some, some] - shared @ n[rare, some], b[some] - shared * b[rare], worth, ROUGH)
-    free = b[rare] / n[rare, rare] - ca.dot(shared, ca.vertcat(*sizes))
-    return [*sizes, free], ca.diag(ca.vertcat(*variances, 1 / n[rare, rare]))
-
-
-def few(
-    n: ca.SX, b: ca.SX, worth: float = 0.0, rough: float = 0.0, most: int = 2
-) -> tuple[list[Scalar], list[Scalar]]:
-    """Least squares with at most `most` sizes that are not negative, the others zero, and their variances.
-
-    The best of all such solutions; a further size has to lessen the sum of squares by `worth`, and by the
-    share `rough` of what is explained, because no model is exact. Faults are rare: a leak of one side is no
-    leak of the seals with one of the other side. The variance of a size at zero is that which it had alone.
-    """
-    best, found = ca.SX(0), [ca.SX(0)] * n.shape[0]
-    variances = [1 / n[i, i] for i in range(n.shape[0])]
-    for kept in (k for size in range(1, most + 1) for k in combinations(range(n.shape[0]), size)):
-        some: Any = list(kept)
-        inverse = ca.inv_minor(n[some, some])
-        sizes = inverse @ b[some]
-        gain = (1 - rough * (len(some) - 1)) * ca.dot(b[some], sizes) - worth * len(some)
-        gain = ca.if_else(ca.mmin(sizes) >= 0, gain, -1)
-        better, best = gain > best, ca.fmax(gain, best)
-        own = dict(zip(some, ca.vertsplit(sizes), strict=True))
-        found = [ca.if_else(better, own.get(k, 0), value) for k, value in enumerate(found)]
-        if len(some) > 1:
-            its = {k: inverse[i, i] for i, k in enumerate(some)}
-            variances = [ca.if_else(better, its.get(k, v), v) for k, v in enumerate(variances)]
-    return found, variances
 
 
 def whether(condition: Scalar) -> Scalar:
@@ -189,21 +206,6 @@ def either(*conditions: Scalar) -> Scalar:
     for c in conditions:
         found = ca.fmax(found, c)
     return found
-
-
-def latched(state: Scalar, condition: Scalar, reset: Scalar) -> Scalar:
-    """Rate of a state that goes to 1 with a condition, and stays until the reset."""
-    return (condition * (1 - state) - state * reset) / QUICK
-
-
-def counted(clock: Scalar, condition: Scalar, rate: Scalar = 1, forgotten: float = QUICK) -> Scalar:
-    """Rate of a clock that counts while a condition is 1, and else goes back to 0."""
-    return ca.if_else(condition > 0, rate, -clock / forgotten)
-
-
-def gathered(volume: Scalar, excess: Scalar, counts: Scalar) -> Scalar:
-    """Rate of a volume [m3] that gathers an excess [m3/s], and is forgotten while it does not count."""
-    return ca.fmax(excess * counts - (1 - counts) * volume / FORGOTTEN, -volume / QUICK)
 
 
 def judged(size: Scalar, deviation: Scalar, limit: Scalar, usable: Scalar) -> Scalar:

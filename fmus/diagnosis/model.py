@@ -1,11 +1,11 @@
-"""Diagnosis of a machine: the checks of its functions, and what the functions have in common.
+"""Diagnosis of a machine: its functions, and what they have in common.
 
 **Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter; unless
 the oil is cold, as a clogging indicator with a thermal lockout.
 **Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled, at `PUMP_FLOW`; not with
 compensated sections, where the pressure follows the load until the pump is at its largest stroke. A pressure
 that is another one, while the valves of several functions seem to be, is that of a wrong sensor. **Lag of
-all valves**: the mean of those of the functions. **Weighing**: weight.py.
+all valves**, **air**: the mean of those of the functions. **Weighing**: weight.py.
 
 It is sampled, as a control unit, and its outputs depend on its states alone. Signs: those of the controller.
 
@@ -23,83 +23,23 @@ import casadi as ca
 
 from fmus import ports
 from fmus.components import oil
-from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities, unknown
-from fmus.controller.arm import Arm, ControlledAxis
+from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities, symbols, unknown
+from fmus.controller.arm import Arm
 from fmus.controller.gains import gains
-from fmus.diagnosis import leaks, sensors, valves, weight
-from fmus.diagnosis.axis import Axis, Efforts, Finding, outside, shared_states, signals_of
-from fmus.diagnosis.estimates import (
-    FEWEST,
-    QUICK,
-    SAMPLING,
-    Fit,
-    Prior,
-    Solution,
-    Told,
-    counted,
-    either,
-    judged,
-    latched,
-    shown,
-    whether,
-)
-from fmus.diagnosis.settings import LITRE, NUMBERS, OF_MACHINE, OF_VALVE, REFERENCES, Settings, number
+from fmus.diagnosis import losses, unknowns, valves, weight
+from fmus.diagnosis.estimates import FEWEST, SAMPLING, Fit, States, Told, either, judged, shown, whether
+from fmus.diagnosis.readings import Axis, outside
+from fmus.diagnosis.unknowns import LINES, LITRE, Unknown, reference, signals_of
 from fmus.parameters import Number
 
-NAME = "diagnosis"
-LINES = {
-    "supply_pressure": ("Pressure of the supply line", 1e7),
-    "tank_pressure": ("Pressure of the return line", 1e5),
-}
 FLOW, BAR = 100 * LITRE, 1e5  # scales of the lines
+LAG = 0.3  # s, of flows and pressures of the lines: a pump needs as long to follow
 PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
+PUMP_MEMORY = 600.0  # s: a pump wears over months, its pressure changes from stroke to stroke
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
 SUPPLY_OFF = 5e5  # Pa, from which a supply pressure is another one
 COMPARED = 100.0  # s, in which valves show whether it is that of a wrong sensor
 DELAY_OFF, AIR_OFF = 1e-6, 3e-3  # s, 1: what the lag of a valve or the air of a function is off
-RETURN, PUMP = Fit("return", ("flow", "one")), Fit("pump", ("flow", "one"))
-ALONE = {
-    "return_resistance": Finding("Pa.s/m3", "Resistance of the return line", 1e7, "return filter"),
-    "pump_pressure": Finding("Pa", "Supply pressure at 60 L/min, unless it follows the load", 1e6, "pump"),
-    "valve_delay": Finding(
-        "s", "Lag of all valves more than that of the healthy machine", 0.01, "pilot filter"
-    ),
-    "oil_air": Finding("1", "Undissolved air in the oil more than that of the healthy machine", 0.01, "air"),
-    "oil_temperature_high": Finding("1", "1: the oil is hotter than its limit", 1.0, "cooler"),
-    "weighing": Finding("N", "Mean horizontal force at the tip", 100.0, "pressure sensors"),
-}
-
-
-CHECKS, FITTING = (leaks, valves, sensors), (leaks, valves)
-
-
-def _of_pump(x: Any, p: Any) -> Solution:
-    """Its pressure over its flow."""
-    return PUMP.solved(x, Prior((100, 1000), (0, number("pump_pressure", p) / BAR), 0.3, 3.0))
-
-
-def _full(axis: ControlledAxis, name: str) -> str:
-    """Of a finding; those of sensors have the name of the axis."""
-    return name if name.endswith("_sensor") else f"{axis.name}_{name}"
-
-
-def _findings_of(axis: ControlledAxis) -> dict[str, Finding]:
-    """Of all checks of an axis."""
-    found = {n: f for check in CHECKS for n, f in check.findings(axis).items()}
-    return {
-        _full(axis, n): replace(f, text=f.text.format(axis.name), repair=f.repair.format(axis.name))
-        for n, f in found.items()
-    }
-
-
-def _states_of(axis: ControlledAxis, tare: weight.Tare) -> dict[str, Quantity]:
-    """Of all checks of an axis, with their sums."""
-    found = shared_states(axis) | tare.states(axis)
-    for check in (*CHECKS, weight):
-        found |= check.states(axis)
-    sums = (n for check in FITTING for fit in check.fits(axis).values() for n in fit.states)
-    found |= {n: Quantity("1", f"Sum of normal equations: {n}, {axis.name}") for n in sums}
-    return {f"{axis.name}_{n}": q for n, q in found.items()}
 
 
 @dataclass(frozen=True)
@@ -108,118 +48,97 @@ class Diagnosis:
 
     arm: Arm
     efforts: weight.OfReadings
-    tare: weight.Tare
-    inputs: type[Any]
-    states: type[Any]
-    outputs: type[Any]
+    tare: Mapping[str, Unknown]
 
-    def _axes(self, x: Any, u: Any, p: Any, efforts: Mapping[str, Efforts] | None = None) -> list[Axis]:
-        """efforts: by axis, of what depends on readings."""
-        pistons = self.arm.pistons(self.arm.coordinates(u), p)
-        driven, lines = (
-            self.arm.actuators([at for at, _ in pistons], p),
-            1 - either(*self._wrong(x, u, p).values()),
-        )
-        radial = [0, *(r for r, _ in self.arm.columns(self.arm.coordinates(u), p))]
-        axes = [
-            Axis(a, driven[a.name], at, lever, x, u, p, lines, 1, (efforts or {}).get(a.name, {}), r)
-            for a, (at, lever), r in zip(self.arm.axes, pistons, radial, strict=True)
-        ]
+    def work(self, x: Any, u: Any, p: Any) -> tuple[States, dict[str, Told], tuple[Scalar, Scalar]]:
+        """States with their rates, what is told of each unknown, and the payload."""
+        m, told = States(x, u.reset), dict[str, Told]()
+        wrong = self._lines(m, u, p, told)
+        q = self.arm.coordinates(u)
+        pistons, radial = self.arm.pistons(q, p), [0, *(r for r, _ in self.arm.columns(q, p))]
+        driven = self.arm.actuators([at for at, _ in pistons], p)
+        rows = zip(self.arm.axes, pistons, radial, strict=True)
+        axes = [Axis(a, driven[a.name], (*at, r), replace(m, of=a.name), u, p) for a, at, r in rows]
         speeds = 1 - either(*(a.faulty[1] for a in axes))
         margin = ca.mmin(ca.vertcat(*(a.least_drop for a in axes)))
-        return [replace(a, speeds=speeds, margin=margin) for a in axes]
-
-    def _wrong(self, x: Any, u: Any, p: Any) -> dict[str, Scalar]:
-        """1: the reading of a line is not to be used."""
-        return {
-            n: either(outside(getattr(u, n), p), getattr(x, f"{n}_bad"), 1 - getattr(p, f"{n}_fitted"))
-            for n in LINES
-        }
-
-    def dynamics(self, x: Any, u: Any, p: Any) -> Any:
-        """Filters, clocks, latches and sums."""
-        rates, axes, sound = dict[str, Scalar](), self._axes(x, u, p, self.efforts(u)), 1
         for a in axes:
-            checked = (rate for check in (*CHECKS, weight) for rate in check.rates(a).items())
-            own = a.rates() | dict(checked)
-            rates |= {f"{a.axis.name}_{n}": rate for n, rate in own.items()}
-            sound *= a.sound
+            a.completed(1 - wrong, speeds, margin)
+            checks = losses.leaks(a), losses.spool(a), losses.bursts(a), valves.valve(a), a.sensors()
+            for n, one in (row for check in checks for row in check.items()):
+                told[n if n.endswith("_sensor") else f"{a.axis.name}_{n}"] = one
+        self._pressures(m, axes, u, p, told)
+        compensated = either(*(a.compensated for a in axes))
+        delay, off, healthy, count = self._together("valve_delay", told, p, DELAY_OFF)
+        state = judged(delay - healthy, off, p.delay_limit * (1 + compensated), whether(count > 0))
+        told["valve_delay"] = delay - healthy, off, state
+        air, off, healthy, count = self._together("air", told, p, AIR_OFF)
+        more = air - ca.fmax(healthy, 0)
+        told["oil_air"] = more, off, judged(more, off, losses.air_limit(healthy, p), whether(count > 0))
+        hot = m.lag(
+            "hot", whether(u.oil_temperature > p.temperature_limit), SAMPLING, "1: the oil is too hot"
+        )
+        told["oil_temperature_high"] = shown(hot)
+        balances = [weight.balance(a, e) for a in axes if (e := self.efforts(u).get(a.axis.name))]
+        slewing = next((a.readings[0] for a in axes if a.axis.turns), 0)
+        payload, of_load = weight.weighed(balances, slewing, self.tare, m, p)
+        return m, told | of_load, payload
+
+    def _lines(self, m: States, u: Any, p: Any, told: dict[str, Told]) -> Scalar:
+        """1: a reading of a line is not to be used."""
+        wrong: Scalar = 0
         for n in LINES:
-            wrong = outside(getattr(u, n), p) * getattr(p, f"{n}_fitted")
-            rates[f"{n}_bad"] = latched(getattr(x, f"{n}_bad"), wrong, u.reset)
-        flows = [f for a in axes for f in a.flows]
-        inward, outward = (sum(ca.fmax(sign * f, 0) for f in flows) for sign in (1, -1))
-        late = {"inward": inward, "outward": outward, "supply": u.supply_pressure, "tank": u.tank_pressure}
-        rates |= {f"late_{n}": (now - getattr(x, f"late_{n}")) / p.window for n, now in late.items()}
-        constant = 1 - either(*(a.compensated for a in axes))  # the pump does not follow the load
+            known, out = getattr(p, f"{n}_fitted"), outside(getattr(u, n), p)
+            bad = m.state(f"{n}_bad", f"1: the reading of {n} is wrong")
+            m.latch(f"{n}_bad", bad, out * known)
+            wrong, told[f"{n}_sensor"] = either(wrong, out, bad, 1 - known), shown(bad, known)
+        return wrong
+
+    def _pressures(self, m: States, axes: list[Axis], u: Any, p: Any, told: dict[str, Told]) -> None:
+        """Of the lines over their flows."""
         cold = whether(u.oil_temperature > 0) * whether(u.oil_temperature < p.filter_temperature)  # 0: open
-        for fit, flow, pressure, counts, memory in (
-            (RETURN, x.late_outward, x.late_tank, 1 - cold, p.slow_memory),
-            (PUMP, x.late_inward, x.late_supply, constant, p.pump_memory),
+        constant = 1 - either(*(a.compensated for a in axes))  # the pump does not follow the load
+        known, learned = reference("return_resistance", p) * FLOW / BAR, reference("pump_pressure", p)
+        fits, late = dict[str, Fit](), dict[str, tuple[Scalar, Scalar]]()
+        for n, way, counts, memory, priors, least, rough in (
+            ("tank", -1, 1 - cold, valves.SLOW_MEMORY, ((10, known), (10, 4.0)), 0.1, 0.5),
+            ("supply", 1, constant, PUMP_MEMORY, ((100, 0), (1000, learned / BAR)), 0.3, 3.0),
         ):
-            counts *= sound * whether(flow > WORKING) / p.window
-            rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], memory)
-        arm, slewing = ([a for a in axes if a.axis.turns == turns] for turns in (False, True))
-        load = weight.Load(arm, x, p, slewing)
-        rates["supply_other"] = counted(x.supply_other, self._other_supply(x, p))
-        rates |= load.rates() | self.tare.rates(load)
-        rates["hot"] = (whether(u.oil_temperature > p.temperature_limit) - x.hot) / QUICK
-        return self.states(**rates)
+            flow = sum(ca.fmax(way * f, 0) for a in axes for f in a.flows)
+            flow = m.lag(f"late_{n}_flow", flow, LAG, f"Flow of the {n} line", "m3/s", True)
+            pressure = m.lag(f"late_{n}", getattr(u, f"{n}_pressure"), LAG, f"Pressure of the {n} line", "Pa")
+            fits[n], late[n] = Fit(m, n, priors, least, rough), (flow, pressure)
+            weight = counts * ca.mmin(ca.vertcat(*(a.sound for a in axes))) * whether(flow > WORKING) / LAG
+            fits[n].adds(weight, [([flow / FLOW, 1], pressure / BAR)], memory)
+        size, off = (BAR / FLOW * v for v in fits["tank"].sizes[0])
+        enough = whether(fits["tank"].samples > FEWEST)
+        told["return_resistance"] = size, off, judged(size - known * BAR / FLOW, off, p.return_limit, enough)
+        size, off = (BAR * v for v in fits["supply"].along(PUMP_FLOW / FLOW, 1))
+        enough = whether(fits["supply"].samples > 3 * FEWEST) * whether(learned > 0)
+        told["pump_pressure"] = size, off, judged(learned - size, off, p.pump_limit, enough)
+        self._other_supply(m, fits["supply"], late["supply"], learned, told)
 
-    def observe(self, x: Any, _: Any, p: Any) -> Any:
-        """Findings and payload."""
-        told, axes = dict[str, Told](), self._axes(x, unknown(self.inputs), p)
-        for a in axes:
-            told |= {_full(a.axis, n): t for check in CHECKS for n, t in check.told(a).items()}
-        told |= {f"{n}_sensor": shown(getattr(x, f"{n}_bad"), getattr(p, f"{n}_fitted")) for n in LINES}
-        told["return_resistance"] = self._return(x, p)
-        told["pump_pressure"] = self._pump(x, p)
-        self._supply(told, x)
-        told["valve_delay"], told["oil_air"] = self._delay(told, axes, p), self._air(told, p)
-        told["oil_temperature_high"] = shown(x.hot)
-        load = weight.Load((), x, p)
-        payload, told["weighing"] = load.payload(), load.weighing()
-        told |= self.tare.told(x, p)
-        found = {"payload": payload[0], "payload_deviation": payload[1]}
-        for n, (size, deviation, state) in told.items():
-            found |= {n: size, f"{n}_deviation": deviation, f"{n}_state": state}
-        return self.outputs(**found)
-
-    def _return(self, x: Any, p: Any) -> Told:
-        scale, known = BAR / FLOW, number("return_resistance", p)
-        fitted = RETURN.solved(x, Prior((10, 10), (known / scale, 4.0), 0.1, 0.5))
-        (size, off), _ = ((scale * s, scale * d) for s, d in fitted)
-        return size, off, judged(size - known, off, p.return_limit, whether(fitted.samples > FEWEST))
-
-    def _pump(self, x: Any, p: Any) -> Told:
-        known, fitted = number("pump_pressure", p), _of_pump(x, p)
-        size, off = (BAR * v for v in fitted.along(PUMP_FLOW / FLOW, 1))
-        told = whether(fitted.samples > 3 * FEWEST) * whether(known > 0)  # 0: no healthy machine was measured
-        return size, off, judged(known - size, off, p.pump_limit, told)
-
-    def _other_supply(self, x: Any, p: Any) -> Scalar:
-        """1: the supply pressure is not the one of before, nor of the healthy machine."""
-        known, fitted = number("pump_pressure", p), _of_pump(x, p)
-        usual, _ = fitted.along(x.late_inward / FLOW, 1)
-        mean, _ = fitted.along(PUMP_FLOW / FLOW, 1)
-        off = ca.fmax(ca.fabs(x.late_supply - BAR * usual), ca.fabs(BAR * mean - known))
-        return whether(off > SUPPLY_OFF) * whether(known > 0) * whether(fitted.samples > FEWEST)
-
-    def _supply(self, told: dict[str, Told], x: Any) -> None:
+    def _other_supply(
+        self, m: States, pump: Fit, late: tuple[Scalar, Scalar], learned: Scalar, told: dict[str, Told]
+    ) -> None:
         """A supply pressure that is another one, by which several valves seem to be others, is wrong.
 
         As long as it is another one the maps of valves are not told. The pump is, but not at once: until then
         strokes have shown whether valves seem to be others.
+
+        late   flow and pressure
         """
-        other = whether(x.supply_other > 0)
-        maps = {a.name: [f"{a.name}_{n}" for n in OF_VALVE[:4]] for a in self.arm.axes}
+        usual, _ = pump.along(late[0] / FLOW, 1)
+        changed = ca.fmax(ca.fabs(late[1] - BAR * usual), ca.fabs(told["pump_pressure"][0] - learned))
+        counts = whether(changed > SUPPLY_OFF) * whether(learned > 0) * whether(pump.samples > FEWEST)
+        time = m.sum("supply_other", "Time for which the supply pressure is another one", 1, counts)
+        other = whether(time > 0)
+        maps = {a.name: [f"{a.name}_{n}" for n in unknowns.MAP[:4]] for a in self.arm.axes}
         count = sum(either(*(whether(told[n][2] > 0) for n in names)) for names in maps.values())
         wrong = other * whether(count > 1)
         hidden = {n: other for names in maps.values() for n in names}
-        hidden["pump_pressure"] = either(wrong, other * whether(x.supply_other < COMPARED))
+        hidden["pump_pressure"] = either(wrong, other * whether(time < COMPARED))
         for n, hides in hidden.items():
-            size, deviation, state = told[n]
-            told[n] = size, deviation, ca.if_else(hides > 0, -1, state)
+            told[n] = *told[n][:2], ca.if_else(hides > 0, -1, told[n][2])
         size, deviation, state = told["supply_pressure_sensor"]
         told["supply_pressure_sensor"] = ca.fmax(size, wrong), deviation, ca.fmax(state, wrong)
 
@@ -229,71 +148,65 @@ class Diagnosis:
         They count by their deviations, of which `least` is what the model of one axis is off.
         """
         total, healthy, weights, count = 0, 0, 1e-9, 0
-        for a in self.arm.axes:
-            if f"{a.name}_{name}" not in told:
-                continue
-            size, off, state = told[f"{a.name}_{name}"]
-            known = 1 - whether(state < 0)
-            weight = known / (off**2 + least**2)
-            reference = number(f"{a.name}_{name}", p)
-            total, healthy = total + weight * size, healthy + weight * reference
-            weights, count = weights + weight, count + known
+        for n in (f"{a.name}_{name}" for a in self.arm.axes):
+            if n in told:
+                size, off, state = told[n]
+                known = 1 - whether(state < 0)
+                weight = known / (off**2 + least**2)
+                total, healthy = total + weight * size, healthy + weight * reference(n, p)
+                weights, count = weights + weight, count + known
         return total / weights, 1 / ca.sqrt(weights), healthy / weights, count
 
-    def _delay(self, told: Mapping[str, Told], axes: list[Axis], p: Any) -> Told:
-        size, off, healthy, count = self._together("valve_delay", told, p, DELAY_OFF)
-        limit = p.delay_limit * (1 + either(*(a.compensated for a in axes)))
-        return size - healthy, off, judged(size - healthy, off, limit, whether(count > 0))
 
-    def _air(self, told: Mapping[str, Told], p: Any) -> Told:
-        size, off, healthy, count = self._together(leaks.AIR, told, p, AIR_OFF)
-        more = size - ca.fmax(healthy, 0)
-        return more, off, judged(more, off, leaks.air_limit(healthy, p), whether(count > 0))
-
-    def initial(self, _: Any, u: Any, p: Any) -> dict[str, Scalar]:
-        """Filters at the readings; sums of nothing."""
-        start: dict[str, Scalar] = {
-            "late_supply": u.supply_pressure,
-            "late_tank": u.tank_pressure,
-            "horizontal_square": weight.SWINGING**2,
-        }
-        for a in self._axes(unknown(self.states), u, p, self.efforts(u)):
-            own = {f"late_{k}": a.reading(k) for k in range(4)} | {
-                "late_command": a.command,
-                "trailing": a.command,
-            }
-            own |= weight.start(a)
-            start |= {f"{a.axis.name}_{n}": now for n, now in own.items()}
-        return start
-
-
-def findings(arm: Arm, manipulator: Subsystem) -> dict[str, Finding]:
-    """All, in the order of the outputs."""
-    found = {n: f for a in arm.axes for n, f in _findings_of(a).items()}
-    lines = {
-        f"{n}_sensor": Finding("1", f"1: the reading of {n} is wrong", 1.0, f"{n} sensor") for n in LINES
-    }
-    return found | lines | ALONE | weight.Tare.of(arm, manipulator).findings
-
-
-def _own_parameters(
-    arm: Arm, names: Mapping[str, Finding], tare: weight.Tare
-) -> dict[str, tuple[Quantity, Number]]:
-    """Sensors that a machine has, and references of a healthy one."""
-    found = dict[str, tuple[Quantity, Number]]()
+def _parameters(arm: Arm, known: Mapping[str, Number], sizes: Mapping[str, Unknown]) -> tuple[Any, Any]:
+    """Group of parameters, and their numbers: sensors there are, sizes of a healthy machine, settings."""
+    found, numbers = dict[str, Quantity](), dict(unknowns.NUMBERS)
     for n in (*(n for a in arm.axes for n in signals_of(a)), *LINES):
         text = f"1: there is a reading of {n}, 0: there is none"
-        quantity = Quantity("1", text, minimum=0.0, maximum=1.0, group="Readings")
-        found[f"{n}_fitted"] = quantity, Number(1.0, "1", "assumed", "all sensors of the controller")
-    healthy = {f"{a.name}_{n}": value for a in arm.axes for n, value in REFERENCES.items()} | OF_MACHINE
-    healthy |= tare.references
-    for n, value in healthy.items():
-        if n in names:
-            f, note = names[n], "no healthy machine was measured"
-            quantity = Quantity(
-                f.unit, f"{f.text}; of the healthy machine", f.nominal, group="Healthy machine"
-            )
-            found[f"{n}_reference"] = quantity, Number(value, f.unit, "assumed", note)
+        found[f"{n}_fitted"] = Quantity("1", text, minimum=0.0, maximum=1.0, group="Readings")
+        numbers[f"{n}_fitted"] = Number(1.0, "1", "assumed", "all sensors of the controller")
+    for n, k in sizes.items():
+        if k.healthy is not None:
+            text, full = f"{k.text}; of the healthy machine", f"{n}_reference"
+            found[full] = Quantity(k.unit, text, k.nominal, group="Healthy machine")
+            numbers[full] = Number(k.healthy, k.unit, "assumed", "no healthy machine was measured")
+    flows = {n: q for n, q in quantities(gains(arm.axes)).items() if n.endswith("_section_flow")}
+    nominal = Quantity("Pa", "Supply pressure, above which relief valves may be open", 1e7, group="Supply")
+    declared = flows | {"nominal_supply_pressure": nominal} | found
+    group = make_group("Parameters", declared, *arm.parameters, oil.Grade, unknowns.Settings)
+    own = {n for n, q in quantities(group).items() if n not in numbers and q.value is None}
+    return group, numbers | {n: known[n] for n in quantities(group) if n in own}
+
+
+def _inputs(arm: Arm) -> dict[str, Quantity]:
+    """Commands and readings."""
+    found = dict[str, Quantity]()
+    for a in arm.axes:
+        found[f"{a.name}_command"] = Quantity("V", f"Command to the {a.name} valve", 10.0)
+        texts = (a.coordinate[1], a.speed[1], a.sides[0][1], a.sides[1][1])
+        for (n, unit), text in zip(signals_of(a).items(), texts, strict=True):
+            found[n] = Quantity(unit, text, 1e7 if unit == "Pa" else 1.0)
+    for (n, text), size in zip(LINES.items(), (1e7, 1e5), strict=True):
+        found[n] = Quantity("Pa", text, size)
+    optional = "the oil stays at 60 degC"
+    found["oil_temperature"] = ports.oil_temperature("Temperature of the oil", optional=optional)
+    gap = "1: there are no readings now, or those before are of another time"
+    for n, text, without in (
+        ("gap", gap, "readings come all the time"),
+        ("reset", "1: forget faults", "nothing is forgotten"),
+    ):
+        found[n] = Quantity("1", text, minimum=0.0, maximum=1.0, optional=without)
+    return found
+
+
+def _outputs(all_unknowns: Mapping[str, Unknown]) -> dict[str, Quantity]:
+    """The payload, and of each unknown its size, its deviation, its state."""
+    found = {"payload": Quantity("kg", "Payload", 100.0)}
+    found["payload_deviation"] = Quantity("kg", "Standard deviation of the payload", 100.0)
+    for n, k in all_unknowns.items():
+        found[n] = Quantity(k.unit, k.text, k.nominal)
+        found[f"{n}_deviation"] = Quantity(k.unit, f"Standard deviation of {n}", k.nominal)
+        found[f"{n}_state"] = Quantity("1", f"{n}: 1 a fault ({k.repair}), 0 none, -1 cannot be told")
     return found
 
 
@@ -303,86 +216,37 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
     known         values of the parameters of its controller
     manipulator   its mechanics, from which the weight of the empty arm follows
     """
-    inputs, states, outputs = dict[str, Quantity](), dict[str, Quantity](), dict[str, Quantity]()
-    all_findings, tare = findings(arm, manipulator), weight.Tare.of(arm, manipulator)
-    for a in arm.axes:
-        inputs[f"{a.name}_command"] = Quantity("V", f"Command to the {a.name} valve", 10.0)
-        texts = (a.coordinate[1], a.speed[1], a.sides[0][1], a.sides[1][1])
-        for n, unit, text in zip(signals_of(a), (*a.units, "Pa", "Pa"), texts, strict=True):
-            inputs[n] = Quantity(unit, text, 1e7 if unit == "Pa" else 1.0)
-        states |= _states_of(a, tare)
-    for n, (text, size) in LINES.items():
-        inputs[n] = Quantity("Pa", text, size)
-        states[f"{n}_bad"] = Quantity("1", f"1: the reading of {n} is wrong")
-    inputs["oil_temperature"] = ports.oil_temperature(
-        "Temperature of the oil", optional="the oil stays at 60 degC"
-    )
-    inputs["gap"] = Quantity(
-        "1",
-        "1: there are no readings now, or those before are of another time",
-        minimum=0.0,
-        maximum=1.0,
-        optional="readings come all the time",
-    )
-    inputs["reset"] = Quantity(
-        "1", "1: forget faults", minimum=0.0, maximum=1.0, optional="nothing is forgotten"
-    )
-    for n, unit, text in (
-        ("inward", "m3/s", "Flow into all chambers"),
-        ("outward", "m3/s", "Flow out of all chambers"),
-        ("supply", "Pa", "Supply pressure"),
-        ("tank", "Pa", "Pressure of the return line"),
-    ):
-        states[f"late_{n}"] = Quantity(
-            unit, f"{text}, behind the slow lag", {"Pa": 1e7, "m3/s": 1e-3}.get(unit, 1.0)
-        )
-    states |= weight.Load.states()
-    states["supply_other"] = Quantity("s", "Time for which the supply pressure is another one than before")
-    states["hot"] = Quantity("1", "1: the oil is hotter than its limit")
-    states |= {
-        n: Quantity("1", f"Sum of normal equations: {n}")
-        for fit in (RETURN, PUMP, weight.PAYLOAD, weight.WEIGHING, tare.fit)
-        for n in fit.states
-    }
-    outputs["payload"] = Quantity("kg", "Payload", 100.0)
-    outputs["payload_deviation"] = Quantity("kg", "Standard deviation of the payload", 100.0)
-    for n, f in all_findings.items():
-        outputs[n] = Quantity(f.unit, f.text, f.nominal)
-        outputs[f"{n}_deviation"] = Quantity(f.unit, f"Standard deviation of {n}", f.nominal)
-        outputs[f"{n}_state"] = Quantity("1", f"{n}: 1 a fault ({f.repair}), 0 none, -1 cannot be told")
-    own = _own_parameters(arm, all_findings, tare)
-    flows = {n: q for n, q in quantities(gains(arm.axes)).items() if n.endswith("_section_flow")}
-    nominal = Quantity("Pa", "Supply pressure, above which relief valves may be open", 1e7, group="Supply")
-    declared = flows | {"nominal_supply_pressure": nominal} | {n: q for n, (q, _) in own.items()}
-    parameters = make_group("Parameters", declared, *arm.parameters, oil.Grade, Settings)
-    numbers = NUMBERS | {n: value for n, (_, value) in own.items()}
-    grade = quantities(oil.Grade)
-    numbers |= {
-        n: Number(q.value, q.unit, "assumed", "VG 46") for n, q in grade.items() if q.value is not None
-    }
-    numbers |= {n: known[n] for n in quantities(parameters) if n not in numbers}
-    of = Diagnosis(
-        arm,
-        weight.efforts_of(manipulator, arm.axes),
-        tare,
-        make_group("Inputs", inputs),
-        make_group("States", states),
-        make_group("Outputs", outputs),
-    )
+    all_unknowns = unknowns.findings(arm, manipulator)
+    of = Diagnosis(arm, weight.efforts_of(manipulator, arm.axes), unknowns.tare_of(arm, manipulator))
+    parameters, numbers = _parameters(arm, known, all_unknowns)
+    inputs, outputs = make_group("Inputs", _inputs(arm)), make_group("Outputs", _outputs(all_unknowns))
+    declared, _, _ = of.work(None, symbols(inputs), symbols(parameters))
+    states = make_group("States", declared.declared)
+
+    def dynamics(x: Any, u: Any, p: Any) -> Any:
+        return states(**of.work(x, u, p)[0].rates)
+
+    def observe(x: Any, _: Any, p: Any) -> Any:
+        _, told, (payload, deviation) = of.work(x, unknown(inputs), p)
+        found = {"payload": payload, "payload_deviation": deviation}
+        for n, row in told.items():
+            found |= {f"{n}{end}": v for end, v in zip(("", "_deviation", "_state"), row, strict=True)}
+        return outputs(**found)
+
     sub = Subsystem(
-        name=NAME,
+        name="diagnosis",
         text="Diagnosis: leaks, bursts, valves, sensors, lines, air and payload, with their deviations",
         parameters=parameters,
-        states=of.states,
-        inputs=of.inputs,
-        outputs=of.outputs,
-        dynamics=of.dynamics,
-        observe=of.observe,
+        states=states,
+        inputs=inputs,
+        outputs=outputs,
+        dynamics=dynamics,
+        observe=observe,
         derive=arm.derive,
-        initial=of.initial,
+        initial=lambda _, u, p: of.work(None, u, p)[0].starts,
         numbers={"parameters": numbers, "start": {}},
         stiff=False,
         sampling=SAMPLING,
         validity="readings every 10 ms or faster; leaks that act at rest",
     )
-    return replace(oil.at_temperature(sub), observe=of.observe)
+    return replace(oil.at_temperature(sub), observe=observe)

@@ -31,7 +31,9 @@ from orchestrator.base.units import pretty, reader_unit, superscript
 from orchestrator.pages.figures import (
     PALETTE,
     Array,
+    Style,
     TraceFigure,
+    TraceLine,
     TracePanel,
     decimate,
     power_of_ten,

@@ -44,12 +44,12 @@ FASTEST, OFF = 3.0, 0.02  # rad/s and rad, m/s and m: what moves more between tw
 SPIKE = 20.0  # times the usual changes of a reading, by which a single one is no reading
 BEYOND = 1.5  # times the full command of a valve
 # settings for readings of each step
-COUNTED = ("still_time", "still_motion", "response_time", "burst_volume", "delay_limit")
+COUNTED = ("still_time", "response_time", "burst_volume", "delay_limit")
 KNOWN = 100.0  # a deviation of the prior over one from which a size can be learned that is never told
 STATES = {1.0: "a fault", 0.0: "none", -1.0: "not known"}
 FITTED, REFERENCE = "_fitted", "_reference"
 COLDEST = 200.0  # K
-EVEN = 1e6  # Pa, below which a return line without a resistance has one pressure
+EVEN = 1e6  # Pa, below which a return line may have one pressure, and above which that of a pump is held
 LITRE = 1 / 6e4  # L/min in m3/s
 # unit -> factor and unit for a reader, of quantities whose usual one is another
 SHOWN = {
@@ -488,7 +488,8 @@ def _without(component: Component, trace: Trace, source: str) -> tuple[list[str]
             continue
         fitted = f"{name}{FITTED}" in variables
         if name in trace.signals:
-            even = name.startswith("tank_") and abs(trace.signals[name][0]) < EVEN
+            at_rest = abs(trace.signals[name][0]) < EVEN
+            even = (name.startswith("tank_") and at_rest) or (name.startswith("supply_") and not at_rest)
             if fitted and len(trace.time) > 1 and np.ptp(trace.signals[name]) == 0 and not even:
                 missing.append(name)
                 value = f"{trace.signals[name][0]:.6g}"

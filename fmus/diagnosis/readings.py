@@ -1,0 +1,194 @@
+"""One function of a machine, as its readings show it: oil in its chambers, and sensors that are wrong.
+
+The oil in a chamber follows from its piston and its pressure alone:
+
+    q = A x' + C P'                      flow into a chamber, with the opposite sign of A for the rod side
+
+Neither masses nor loads are needed. What has no reading, or a wrong one, is not examined.
+
+**Sensors.** A reading is wrong out of its range, or if it stands still: if it does not leave its lag although
+another one of the function says that it should, by more than the resolution of both: angle and speed each
+other, pressures each other.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from fmus.components.play import play_rate
+from fmus.components.spool_valve import opening
+from fmus.contract import Scalar
+from fmus.controller.arm import ControlledAxis
+from fmus.controller.valve import Actuator
+from fmus.diagnosis.estimates import QUICK, States, Told, either, shown, whether
+from fmus.diagnosis.unknowns import EDGES, reference, signals_of
+from fmus.smooth import positive
+
+ENDS = "head side or line A", "rod side or line B"
+PRESSURE = 1e7  # Pa, scale of pressures in the normal equations
+SMALL = 1e4  # Pa, over which the root of a pressure is rounded
+FILLED = 2e5  # Pa above the return line, in a chamber that oil flows into
+RELIEVING = 1.1  # times the supply pressure: a relief valve of a chamber is open
+RELIEVED = 0.15  # of the supply pressure, by which a counterbalance valve may open below it
+LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
+NO_DROP = 1e9  # Pa, of a valve that fills nothing
+BLIND = 0.1  # s, for which flows are not known after a chamber was empty
+TRAVEL = 0.8  # V, command after a reversal from which a valve follows: 8 % of full command
+CLOSING = 0.1  # s, time constant with which a valve opens or closes at the latest: a slow pilot head, a bus
+MARGIN = 0.25  # V, what a command may be off a healthy valve: the machine at another temperature
+LONGER = 1.5  # s, after which a chamber is at rest, and its arm as well
+LOWEST = -5e5  # Pa: a chamber is empty at -1 bar; zeros are off by 3 bar
+END = 0.98  # of the highest pressure that is a reading: a sensor at the end of its range
+MOVES = 0.015  # rad/s, at which a joint moves: five times the noise of angle and speed
+JUMP, FASTEST = 0.06, 9.9  # rad, rad/s: step of an angle beyond its speed, speed of a gyroscope, at most
+STILL = (1e-5, 1e-6, 2e3, 2e3)  # rad, rad/s, Pa: distance from its lag at which a reading stands still
+LIVELY, STEPS = 5e3, 5  # Pa, and resolutions, from the lag of a pressure that changes
+LOADED = 20  # resolutions: a pressure below it may be as even as that of the return line
+MOVING = 2 / 3  # of the time for which a pressure stands still: of an angle or a speed
+
+
+def outside(pressure: Scalar, p: Any) -> Scalar:
+    """1: a pressure is no reading."""
+    return either(whether(pressure < LOWEST), whether(pressure > p.highest_pressure))
+
+
+class Axis:
+    """One function at one instant.
+
+    lever    dx/dq of its piston
+    radial   dr/dq of the tip, r its radius; 0 of the column [m or 1]
+    lines, speeds   1: the readings of both lines, those of all speeds, are usable
+    margin   least drop of the supply pressure to a chamber that is filled, of all functions [Pa]
+    """
+
+    lines: Scalar = 1
+    speeds: Scalar = 1
+    margin: Scalar = NO_DROP
+    least_drop: Scalar = NO_DROP
+
+    def __init__(
+        self, axis: ControlledAxis, actuator: Actuator, piston: tuple[Scalar, ...], m: States, u: Any, p: Any
+    ) -> None:
+        self.axis, self.actuator, self.m, self.u, self.p = axis, actuator, m, u, p
+        (self.position, self.lever, self.radial), signals = piston, signals_of(axis)
+        self.readings = [getattr(u, n) for n in signals]
+        self.pressures = self.readings[2:]
+        self.command = getattr(u, f"{axis.name}_command")
+        self.connected = 1 - whether(u.gap > 0)
+        self.fitted = [getattr(p, f"{n}_fitted") for n in signals]
+        self.late = list[Scalar]()
+        for k, (n, unit) in enumerate(signals.items()):  # without a lag in a gap of readings
+            late = m.state(f"late_{k}", f"{n} behind the lag", unit, self.readings[k])
+            m.moves(f"late_{k}", (self.readings[k] - late) / ca.if_else(self.connected > 0, p.lag, QUICK))
+            self.late.append(late)
+        self.behind = [now - late for now, late in zip(self.readings, self.late, strict=True)]
+        self.rate = [v / p.lag for v in self.behind]
+        self._bad = [m.state(f"bad_{k}", f"1: the reading of {n} is wrong") for k, n in enumerate(signals)]
+        fast = whether(ca.fabs(self.readings[1]) > FASTEST)
+        moved = self.behind[0] - self.fitted[1] * (1 - fast) * p.lag * self.late[1]
+        self.outside = [whether(ca.fabs(moved) > JUMP), fast, *(outside(v, p) for v in self.pressures)]
+        rows = zip(self.outside, self._bad, self.fitted, strict=True)
+        self.faulty = [either(out, bad, 1 - known) for out, bad, known in rows]
+        # the command behind the lag of the readings, and behind a play
+        self.late_command = m.lag("late_command", self.command, 2 * p.lag, "Command", "V")
+        self.trailing = m.state("trailing", "That behind a play", "V", self.command)
+        m.moves("trailing", play_rate(self.late_command, self.trailing, TRAVEL, 50.0, TRAVEL / 10))
+        self.hidden = list[Scalar]()  # s, for which a chamber does not fill although its valve is open
+        self.spool = m.state("spool", "1: the spool does not follow")
+        texts = (f"Largest loss beyond its valve, {end}" for end in ENDS)
+        self.burst = [m.state(f"burst_{k}", text, "m3/s") for k, text in enumerate(texts)]
+        self.burst_told = whether(ca.fmax(*self.burst) > 0)
+        self._chambers()
+
+    def _chambers(self) -> None:
+        """Flows, and what the valve may let through."""
+        a, m, p = self.actuator, self.m, self.p
+        self.compensated = whether(a.section_flows[0] > 0)
+        self.capacitances, speed = (a.head_capacitance, a.rod_capacitance), self.lever * self.rate[0]
+        self.speed = a.head_area * speed  # of the oil at the head side [m3/s]
+        self.flows = (
+            self.speed + a.head_capacitance * self.rate[2],
+            -a.rod_area * speed + a.rod_capacitance * self.rate[3],
+        )
+        # a pressure up to which no valve opens by itself: a counterbalance valve does at a high load
+        self.tight = p.nominal_supply_pressure * (1 - RELIEVED * self.compensated)
+        self.closed = whether(ca.fabs(self.command) < p.closed_command)
+        relieved = whether(ca.fmax(*self.pressures) > RELIEVING * p.nominal_supply_pressure)
+        self.most, self.least, self.full = list[Scalar](), list[Scalar](), list[Scalar]()
+        for k, (sign, end, pressure) in enumerate(zip((1, -1), ENDS, self.pressures, strict=True)):
+            now = sign * self.command
+            most = m.state(f"most_{k}", f"Largest command that fills it, of the last time, {end}", "V")
+            m.moves(f"most_{k}", (now - most) / ca.if_else(now > most, QUICK, CLOSING))
+            least = m.state(f"least_{k}", f"Least command that fills it, of the last time, {end}", "V")
+            m.moves(f"least_{k}", (now - least) / ca.if_else(now < least, QUICK, CLOSING))
+            ends = whether(pressure < p.zero_limit), whether(pressure > END * p.highest_pressure)
+            seen = 1 - either(*ends, relieved)
+            known = m.sum(f"known_{k}", f"Time for which its oil is known, {end}", 1, seen)
+            self.most.append(most)
+            self.least.append(least)
+            self.full.append(whether(known > BLIND) * seen)
+            drop = ca.if_else(most > p.closed_command, self.u.supply_pressure - pressure, NO_DROP)
+            self.least_drop = ca.fmin(self.least_drop, drop)
+
+    def completed(self, lines: Scalar, speeds: Scalar, margin: Scalar) -> None:
+        """What depends on the other functions."""
+        m, (angle, _, head, rod) = self.m, self.faulty
+        self.lines, self.speeds, self.margin = lines, speeds, margin
+        self.sound = lines * (1 - either(angle, head, rod)) * self.connected
+        self.usable = m.lag("usable", self.sound, QUICK, "1: the readings are usable", zero=True)
+        self.shut = m.sum("shut", "Time for which the valve is closed", 1, self.closed * self.sound)
+
+    def edge(self, k: int) -> tuple[Scalar, Scalar, Scalar]:
+        """Of the chamber that is filled: flow, drop over the edge, and flow at full opening [m3/s].
+
+        Compensated sections share a supply that is not enough for all, so each has the least drop of all.
+        """
+        a, flow = self.actuator, self.flows[k]
+        drop = self.u.supply_pressure - self.pressures[k]
+        drop = ca.if_else(self.compensated > 0, ca.fmin(drop, self.margin), drop)
+        inside = positive(drop - a.hose.drop(flow), SMALL)
+        return flow, drop, ca.if_else(self.compensated > 0, a.section_flows[k], a.gain * ca.sqrt(inside))
+
+    def return_edge(self, k: int) -> tuple[Scalar, Scalar]:
+        """Opening of the return edge while chamber k is filled, and whether it is known."""
+        drop, flow = self.pressures[1 - k] - self.u.tank_pressure, -self.flows[1 - k]
+        full = self.actuator.gain * ca.sqrt(positive(drop - self.actuator.hose.drop(flow), SMALL))
+        return flow / full, whether(drop > LEAST_DROP) * self.full[1 - k] * (1 - self.compensated)
+
+    def opened(self, k: int, command: Scalar, sign: int) -> Scalar:
+        """Largest (sign 1) or least (-1) opening at a command, by the healthy machine."""
+        v, way = self.actuator.valve, ("up", "down")[k]
+        gain, band = self.reference(f"gain_{way}"), self.reference(f"dead_band_{way}")
+        moved = gain * command - band + sign * (self.reference("half_hysteresis") + MARGIN)
+        return ca.fmin(opening(moved, v.dead_band, v.full_command, v.command_rounding), 1)
+
+    def outlet(self, k: int) -> Scalar:
+        """Opening of the return edge over that of the other one, while chamber k is filled."""
+        return self.reference(EDGES[k])
+
+    def reference(self, name: str) -> Scalar:
+        """Of the healthy machine."""
+        return reference(f"{self.axis.name}_{name}", self.p)
+
+    def sensors(self) -> dict[str, Told]:
+        """Readings that are wrong."""
+        p, found = self.p, dict[str, Told]()
+        moves = MOVES + 2 * p.angle_resolution / p.lag
+        turns, goes = (whether(ca.fabs(v) > moves) for v in (self.late[1], self.rate[0]))
+        differ = whether(ca.fabs(self.rate[0] - self.late[1]) > moves)
+        lively, least = LIVELY + STEPS * p.pressure_resolution, p.zero_limit + LOADED * p.pressure_resolution
+        changes = [turns * (1 - self.outside[1]) * differ, goes * (1 - self.outside[0]) * differ]
+        for pressure, other in zip(self.pressures, self.behind[:1:-1], strict=True):
+            # an empty chamber has a constant pressure
+            changes.append(whether(ca.fabs(other) > lively) * whether(pressure > least))
+        for k, n in enumerate(signals_of(self.axis)):
+            still = whether(ca.fabs(self.behind[k]) < STILL[k]) * self.connected
+            text = f"Time for which {n} stands still although it should change"
+            time = self.m.sum(f"still_{k}", text, changes[k], still)
+            long = whether(time > p.still_time * (MOVING if k < 2 else 1))
+            wrong = either(self.outside[k] * self.connected, long) * self.fitted[k]
+            self.m.latch(f"bad_{k}", self._bad[k], wrong)
+            found[f"{n}_sensor"] = shown(self._bad[k], self.fitted[k])
+        return found
