@@ -204,8 +204,8 @@ def assemble(
     """
     flat = FlatStructure(name, {n: Location(Path(p)) for n, p in fmus.items()})
     system = System(name, {n: open_component(n, file) for n, file in flat.sources.items()})
-    sizes, start = system.sizes(start or {})
-    system = system.with_start(sizes, origin="")
+    start = start or {}
+    system = system.with_start(system.sizes(start)[0], origin="")  # first, as they give arrays their elements
     terminals = Terminals(system)
     for entry in connections:
         parts = [e.strip() for e in entry.split("->")] if isinstance(entry, str) else list(entry)

@@ -192,10 +192,11 @@ def test_values_of_ssp_2(fmus3, zip_ssp):
     missing = [f"parameter {n!r} of t does not match a variable" for n in ("picture", "table")]
     assert given == ({"label": "a b", "enum_in": 2}, missing)
     many = "<ssv:String>" + '<ssv:Value value="x"/>' * 2 + "</ssv:String>"
-    wrong = (("gain", picture, "a Binary"), ("gain", wide, "3 values"), ("label", many, "2 values"))
+    wrong = (("gain", wide, "3 values"), ("label", many, "2 values"))
     for name, value, got in wrong:
         told = f"'{name}': expected a scalar number or text, got {got}, not supported$"
         problem(partial(start, (name, value)), told)
+    problem(partial(start, ("gain", picture)), r"t\.gain: expected a value of type Real, got 'ff00'$")
     problem(partial(start, ("label", "<ssv:String/>")), "'label': expected a value, got none$")
     problem(partial(start, ("gain", label), ("gain", label)), "'gain': expected a unique name, got it twice$")
 
