@@ -25,7 +25,7 @@ from fmus.components import hose
 from fmus.components.chamber import Liquid
 from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
-from fmus.identification.procedures.leakage import MOTOR_LEAKAGE
+from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.results import Estimate

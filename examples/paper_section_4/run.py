@@ -20,7 +20,7 @@ from panels import draw
 
 from fmus.identification.procedures.damping import DAMPING
 from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
-from fmus.identification.procedures.leakage import MOTOR_LEAKAGE
+from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.results import Estimate
 from fmus.machine.parts import FERIC

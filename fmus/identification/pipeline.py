@@ -14,8 +14,9 @@ from fmus.identification.machine import Parameters, nominal, short_name, updated
 from fmus.identification.procedures import rest
 from fmus.identification.procedures.damping import DAMPING
 from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
-from fmus.identification.procedures.leakage import MOTOR_LEAKAGE, SEAL_LEAKAGE
+from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
 from fmus.identification.procedures.procedure import Computed, Procedure
+from fmus.identification.procedures.seal_leakage import SEAL_LEAKAGE
 from fmus.identification.procedures.valve import VALVE
 from fmus.identification.procedures.weighing import WEIGHING
 from fmus.identification.recordings.quality import hum

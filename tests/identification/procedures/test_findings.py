@@ -10,7 +10,7 @@ from identification.procedures.bench import BAR, changed, with_sensors
 from fmus.identification import pipeline, results
 from fmus.identification.procedures import damping, rest
 from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
-from fmus.identification.procedures.leakage import MOTOR_LEAKAGE
+from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
 
 UP_AND_DOWN = (*np.linspace(15.0, 275.0, 14), *np.linspace(265.0, 25.0, 12))  # L/min
 

@@ -10,7 +10,7 @@ from identification.procedures.lumped_machine import KNOWN, PRESSURE
 from kit.mistakes import problem, table
 
 from fmus.identification import results as tests
-from fmus.identification.procedures.leakage import MOTOR_LEAKAGE
+from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
 from orchestrator.data.recording import Sensor
 
 R_IN, R_EX = 2.0e12, 1.1e12  # Pa.s/m3

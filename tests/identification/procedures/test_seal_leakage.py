@@ -9,7 +9,7 @@ from kit.mistakes import problem
 
 from fmus.identification import results
 from fmus.identification.pipeline import identify
-from fmus.identification.procedures.leakage import SEAL_LEAKAGE
+from fmus.identification.procedures.seal_leakage import SEAL_LEAKAGE
 from fmus.identification.recordings.reading import read_folder
 from fmus.rig.experiments import hold
 from fmus.rig.recordings import write

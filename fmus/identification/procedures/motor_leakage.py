@@ -1,6 +1,4 @@
-"""Leakage procedures: of the swing motor with its shaft locked, and past the seals of a cylinder.
-
-Motor (section 4(d), eqs. (11), (12), Fig. 8), port pressures stepped:
+"""Leakage of the swing motor, its shaft locked (section 4(d), eqs. (11), (12), Fig. 8), port pressures stepped.
 
     drain_flow = (P_1 + P_2)/R_ex              flow_a = (P_1 - P_2)/R_in + P_1/R_ex
 
@@ -8,22 +6,8 @@ Pressures are relative to that of the tank. Both flows are linear in the conduct
 together from means over steady stretches. Quadratic parts are tested, not used. Validity: laminar leakage,
 steady pressures, pressure sensors at the motor: at the far end of lines with the resistance R_l, both
 resistances are too large by the share R_l (1/R_in + 1/R_ex), 1e-5 in this machine.
-
-Seals, a hold test with weights: the cylinder carries a weight, its head side is plugged, its rod side is open
-to the return line. The piston sinks by what leaks past its seals and by what the enclosed oil gives way when
-the weight changes:
-
-    d/dt (A x + C P_head) = -G (P_head - P_rod)        A = pi bore^2 / 4
-
-x is the position of the piston, positive out of the cylinder, G the conductance of the seals, C the
-capacitance of the enclosed oil; both are estimated. Nothing is differentiated: the balance is integrated over
-windows. Validity: laminar leakage, no air in the oil, two weights at least: one alone does not tell G from a
-zero of the pressures. Only a machine that is built with faults has this leakage (`boom_seal_conductance`), so
-it is no parameter of the others. Reference: H. E. Merritt, Hydraulic Control Systems, Wiley 1967, chapter 6
-(continuity with leakage past a piston).
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -32,18 +16,14 @@ from fmus.identification.balance import samples_of
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.procedure import (
     Fit,
-    Parameters,
     Parts,
     Procedure,
     Quantity,
     Recordings,
     Tested,
     law_of,
-    window_samples,
 )
 from fmus.identification.results import BAR, LITRES_PER_MINUTE, Panel
-
-# ---- swing motor
 
 MOTOR = {"pressure_a": "Pa", "pressure_b": "Pa", "flow_a": "m3/s", "drain_flow": "m3/s"}
 EQUATIONS = {"internal": "(11)", "external": "(12)"}
@@ -108,51 +88,4 @@ MOTOR_LEAKAGE = Procedure(
     findings=lambda fit: fit.effects(QUADRATIC, LITRES_PER_MINUTE),
     drift={n: f"the {n} leakage" for n in EQUATIONS},
     check=_positive,
-)
-
-
-# ---- seals of a cylinder
-
-CYLINDER = {"position": "m", "pressure_head": "Pa", "pressure_rod": "Pa"}
-HALF_WIDTH = 1.0  # s of a window: a piston sinks slowly, so a long one averages more noise
-OF_SEALS = {"G": ("m3/(s.Pa)", "leakage past the seals"), "C": ("m3/Pa", "capacitance of the enclosed oil")}
-
-
-def sinking(x: Any, head: Any, rod: Any, u: Any, area: Any) -> Any:
-    """The balance: what leaks, and what is stored."""
-    return (-u.G * (head - rod),), (area * x + u.C * head,)
-
-
-def _area(tests: Recordings, _: Parameters) -> float:
-    """Of the piston [m2]; all recordings are of one cylinder."""
-    return math.pi / 4 * data.one_size(tests, "bore") ** 2
-
-
-def _windows(tests: Recordings, area: float) -> Parts:
-    law = law_of(sinking, len(CYLINDER), tuple(OF_SEALS))
-    return [window_samples(test, CYLINDER, law, HALF_WIDTH, (area,)) for test in tests]
-
-
-SEAL_LEAKAGE = Procedure(
-    name="seal_leakage",
-    title="Leakage of a cylinder's seals: flow over pressure",
-    figure=0,
-    signals=CYLINDER,
-    law="The linear law",
-    known=_area,
-    samples=_windows,
-    start=lambda _: {"G": 1e-13, "C": 1e-12},  # linear in both
-    limits=lambda tests: data.zero_limits(tests, ("pressure_head", "pressure_rod")),
-    others=lambda fit: [
-        fit.estimate(Quantity(text, unit, n, "hold test")) for n, (unit, text) in OF_SEALS.items()
-    ],
-    panels=lambda fit: fit.line(
-        Panel("P_head - P_rod", "leakage", (), "Filtered equation", BAR, LITRES_PER_MINUTE), "G"
-    ),
-    drift={"G": "the leakage"},
-    equal=("G",),
-    check=lambda fit: fit.expect_positive(
-        [("leakage past the seals", fit["G"], fit.sd("G"))],
-        "change the sign of the position (positive out of the cylinder), or exchange the two pressures",
-    ),
 )
