@@ -1,4 +1,4 @@
-"""Leakage of the swing motor, its shaft locked (section 4(d), eqs. (11), (12), Fig. 8), port pressures stepped.
+"""Leakage of the swing motor, its shaft locked (section 4(d), eqs. (11), (12), Fig. 8), ports stepped.
 
     drain_flow = (P_1 + P_2)/R_ex              flow_a = (P_1 - P_2)/R_in + P_1/R_ex
 
