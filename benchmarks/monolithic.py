@@ -36,7 +36,7 @@ from fmus.monolith import join, merge_times, simulate
 from orchestrator import Result, Trace, reference, run
 from orchestrator.engine.refinement import estimated_error
 from orchestrator.engine.result import SignalError, changes, signal_errors
-from orchestrator.ssp.coupling import Coupling
+from orchestrator.monolithic.reference import master
 from orchestrator.ssp.load import load
 
 EQUAL = 1e-8  # of the range of each signal
@@ -86,10 +86,9 @@ def by_fmus(system: Path, variants: Mapping[str, str], stop: float = STOP) -> Re
 def by_hermite(system: Path, variants: Mapping[str, str], stop: float = STOP) -> Result:
     """The co-simulation; its card has the change of each signal when the step is halved, and the order."""
     options = {"swap": variants, "stop": stop, "record_step": RECORD, "tolerance": TOLERANCE}
-    runs = []
-    for refinement in (2.0, 1.0, 0.5):  # divided steps get shorter, too
-        master = Coupling("hermite", guard=1e-6 * refinement**2, tolerance=1e-9)
-        runs.append(run(system, STROKES, master=master, step=refinement * STEP, **options))
+    runs = [
+        run(system, STROKES, master=master(h / STEP), step=h, **options) for h in (2 * STEP, STEP, STEP / 2)
+    ]
     return replace(runs[1], card=replace(runs[1].card, errors=changes(*runs)))
 
 

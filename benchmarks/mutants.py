@@ -68,7 +68,7 @@ ROOMS = {
         *(f"tests/control/test_linear_{n}.py" for n in ("physics", "machine", "use")),
     )),
     "monolithic": Room("orchestrator/monolithic", "*.py", (
-        *(f"tests/monolithic/test_{n}.py" for n in ("plant", "integration", "reference")),
+        *(f"tests/monolithic/test_{n}.py" for n in ("plant", "integration", "tight", "reference")),
     )),
 }  # fmt: skip
 SWAPPED = {

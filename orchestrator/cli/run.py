@@ -50,8 +50,8 @@ def reference(
 ) -> None:
     """Solve a system as one ODE, to which co-simulations converge.
 
-    With an FMU without Model Exchange the result is a co-simulation with an accuracy of 1e-6, and says so,
-    with an estimate of its error. `harvester compare` compares a run with the result.
+    With an FMU without Model Exchange the result is a co-simulation with a small step, and says so, with an
+    estimate of its error. `harvester compare` compares a run with the result.
 
     out   File for the trace (.csv, .parquet, .mat).
     """

@@ -1,12 +1,13 @@
 """Runs at shorter and shorter steps: errors that follow from the changes between them, and when to stop.
 
 `error_estimate` compares a run with those at half and at twice its step, an accuracy without directional
-derivatives each run with the one before.
+derivatives each run with the one before, and `reference` without Model Exchange halves the step until the
+error is small.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import inf
@@ -19,6 +20,15 @@ from orchestrator.ssp.dependencies import late_effects
 
 MASTER_ORDER = 4.0  # of convergence; a larger measured order is a coincidence
 STAGNATION = 0.7  # a run hardly helps if it leaves more than this fraction of the least error
+
+
+def compared(runs: Iterable[Result]) -> Iterator[Result]:
+    """Each run but the last, with its changes to the next one, and orders from the one before, as errors."""
+    coarse = last = None
+    for finer in runs:
+        if last is not None:
+            yield last.noted(errors=changes(coarse, last, finer))
+        coarse, last = last, finer
 
 
 def estimated_error(change: SignalError, ratio: float = 2.0) -> float:
@@ -64,21 +74,21 @@ def with_error_estimate(job: Job, result: Result, repeated: Callable[[Job], Resu
         reason = "two adaptive runs have common times only with a record step; set --record-step"
         return result.noted(f"no error estimate: {reason}")
     adaptive = job.coupling.adaptive is not None
-    coarser = None
+    runs = [result]
     try:
-        finer = repeated(job.stricter() if adaptive else replace(job, times=times.finer()))
+        runs.append(repeated(job.stricter() if adaptive else replace(job, times=times.finer())))
         if not adaptive and times.steps >= 4:
             with suppress(RunFailed):
-                coarser = repeated(replace(job, times=times.coarser()))
+                runs.insert(0, repeated(replace(job, times=times.coarser())))
     except Problem as failed:
         setting = "a tenth of the tolerance" if adaptive else "half the step"
         return result.noted(f"no error estimate, the run at {setting} failed: {failed}")
     except Interrupted as interrupted:
         raise Interrupted(result, str(interrupted)) from None
-    events = len(result.events)
-    if events != len(finer.events):
-        reason = f"{events} events, and {len(finer.events)} in the run to compare with"
+    *coarser, own, finer = [len(run.events) for run in runs]
+    if own != finer:
+        reason = f"{own} events, and {finer} in the run to compare with"
         return result.noted(f"no error estimate: {reason}", errors=())
-    coarser = None if coarser and len(coarser.events) != events else coarser
-    estimated = result.noted(errors=changes(coarser, result, finer))
+    runs = runs[1:] if coarser and coarser[0] != own else runs
+    *_, estimated = compared(runs)
     return estimated if estimated.card.errors else estimated.noted("no error estimate: no output changes")

@@ -13,9 +13,11 @@ signal, a rate with peaks, at a tolerance of 3e-14, 2e-8 at 1e-13 and 1e-7 at 1e
 """
 
 import time as wall_time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import chain
+from math import ceil
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -32,11 +34,13 @@ from orchestrator.engine.arguments import ReferenceArguments
 from orchestrator.engine.integration import Integration, Solver
 from orchestrator.engine.job import Job
 from orchestrator.engine.plant import Plant
+from orchestrator.engine.refinement import Progress, compared, estimated_error
 from orchestrator.engine.result import Card, Event, Result, RunFailed
 from orchestrator.engine.run import ProgressBar, run
 from orchestrator.engine.scenario import Scenario, ScenarioSource
-from orchestrator.engine.time_grid import RECORD_STEP, Grid
+from orchestrator.engine.time_grid import RECORD_STEP, Grid, step_length
 from orchestrator.fmi.messages import LogMessage
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.load import configured
 from orchestrator.ssp.plausible import doubts_told
 from orchestrator.ssp.system import Inlet, System
@@ -46,8 +50,6 @@ TOLERANCE = 2e-14  # default, relative; absolute: times the magnitude of the sta
 ROOT = 2  # status of a step of CVODE that ends at a state event
 SAME_TIME = 1e-12  # times closer than this fraction of the span are equal
 CORNER = 1e-9  # relative change of a slope that restarts the solver
-# Of a co-simulation in place of a monolithic solution: smallest accuracy, and tolerance of the FMUs
-BOUND, FMU_TOLERANCE = 1e-6, 1e-10
 
 
 @documented(ReferenceArguments)
@@ -72,9 +74,10 @@ def reference(
     The trace has all outputs, connected inputs and states. At the time of an event it has the values after
     the event.
 
-    If an FMU has no Model Exchange or does not list its states, the result is a co-simulation with an
-    accuracy of 1e-6, or of `tolerance` if that is larger, for all outputs. Notes on the card say so, and what
-    has been reached.
+    If an FMU has no Model Exchange or does not list its states, the result is a tight co-simulation, see
+    `tightened`. A note on the card says so. `card.errors` has the change of each output when the step is
+    halved, from which its error follows; the largest is in the note, and at most `tolerance` or 1e-6 of the
+    range if that is affordable.
 
     Raises Problem for a mistake and if the solver fails.
     """
@@ -91,15 +94,12 @@ def reference(
         return _solve(other, scenario, record_step, tolerance, rest)
     except NotExchangeable as problem:
         reason = str(problem)
-    outputs = any(other.variable(port).is_continuous for port in other.ports("output"))
-    rest |= {"accuracy": max(tolerance, BOUND), "accuracy_of": ["*"] * outputs}
-    try:
-        found = run(other, scenario, record_step=record_step, tolerance=FMU_TOLERANCE, **rest)
-    except RunFailed as failed:
-        if not failed.result.complete:
-            raise
-        found = failed.result.noted(str(failed))
-    return found.noted(f"no monolithic solution, but a co-simulation; reason: {reason}")
+    rest |= {"record_step": record_step, "tolerance": FMU_TOLERANCE}
+
+    def co_simulated(step: float, master: Coupling) -> Result:
+        return run(other, scenario, master=master, step=step, **rest)
+
+    return tightened(co_simulated, first_step(record_step, step_length(other, None)), tolerance, reason)
 
 
 def _solve(
@@ -288,3 +288,84 @@ class _Recorded(Integration):
         )
         messages: list[LogMessage] = [m for slave in plant.slaves.values() for m in slave.log.messages]
         return Result(plant.system, Trace(time, signals, units), card, tuple(messages))
+
+
+# ---- a tight co-simulation in place of a monolithic solution, with its own error estimate
+
+GUARD = 1e-6  # estimated relative error of an input above which the first run divides a step
+PASS_TOLERANCE = 1e-9  # relative mismatch of an input at which the passes over a step end
+FMU_TOLERANCE = 1e-10  # of the solvers in the FMUs, relative
+BOUND = 1e-6  # smallest bound of the estimated RMS error, relative to the range of a signal
+LARGEST_STEP = 1e-3  # [s], of the first run
+MAX_STEPS = 10**6  # of all runs together
+
+
+def first_step(record_step: float, suggested: float) -> float:
+    """The first step [s]: a fraction of the record step, not above the suggestion and LARGEST_STEP."""
+    return record_step / ceil(record_step / min(record_step, suggested, LARGEST_STEP) - 1e-9)
+
+
+def master(refinement: float) -> Coupling:
+    """The master of the highest order that works with all FMUs; refinement: step over that of the first run.
+
+    The guard gets stricter with the square of the step. Otherwise errors of divided steps, of which there are
+    many if FMUs hold their inputs, would not fall with the step, and the estimate would miss them.
+    """
+    return Coupling("hermite", guard=GUARD * refinement**2, tolerance=PASS_TOLERANCE)
+
+
+CoSimulate = Callable[[float, Coupling], Result]  # a run with a step [s] and a master
+
+
+def tightened(run: CoSimulate, first: float, bound: float, reason: str) -> Result:
+    """The run with the smallest estimated error; raises RunFailed if no run is complete.
+
+    The step is halved until the estimate meets a bound, hardly falls any more, or the next run would cost too
+    much. The estimate of a run compares it with those at half and at twice its step. It does not see errors
+    that do not depend on the step. So the solvers of the FMUs and the passes of the master get tight
+    tolerances, and steps in which an input jumps are divided by a guard.
+
+    run      co-simulates; `first`: the step of the first run [s]
+    bound    of the estimated RMS error of each signal, relative to its range; at least BOUND
+    reason   why there is no monolithic solution, for the card
+    """
+    runs, progress = _runs(run, first), Progress()
+    best = next(runs)
+    for result in compared(chain([best], runs)):
+        error = max(map(estimated_error, result.card.errors), default=0.0)
+        first_estimate = progress.least == np.inf
+        if progress.add(error) or first_estimate:
+            best = result
+        if error <= max(bound, BOUND) or progress.idle:
+            break
+    return _with_note(best, reason)
+
+
+def _runs(run: CoSimulate, first: float) -> Iterator[Result]:
+    """Complete runs, each at half the step of the one before; the first ones may fail at too large a step."""
+    complete, failure, step = False, None, first
+    spent = last = 0.0
+    while spent + 2 * last <= MAX_STEPS:
+        try:
+            result = run(step, master(step / first))
+        except RunFailed as failed:
+            result, failure = failed.result, failed
+            if complete or failed.final:
+                break
+        else:
+            complete = True
+            yield result
+        last = max(result.card.steps, first / step)  # also of runs that fail at the start
+        spent, step = spent + last, step / 2
+    if failure and not complete:
+        raise failure
+
+
+def _with_note(result: Result, reason: str) -> Result:
+    """The result with the reason and the largest estimate on its card."""
+    worst = max(result.card.errors, key=estimated_error, default=None)
+    estimate = "no estimate of its error, because no output changes or there is no run at half the step"
+    if worst:
+        estimate = f"estimated RMS error at most {estimated_error(worst):.1e} of range, in {worst.name}"
+    what = "no monolithic solution, but a co-simulation with a small step"
+    return result.noted(f"{what}: {estimate}; reason: {reason}")

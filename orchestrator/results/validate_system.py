@@ -504,7 +504,7 @@ def monolithic_recording(
         kind="simulation",
         criteria=criteria,
         metadata={
-            "title": "Monolithic solution of the FMUs" if monolithic else "Co-simulation with a small error",
+            "title": "Monolithic solution of the FMUs" if monolithic else "Co-simulation with a small step",
             "kind": "simulation of the same FMUs",
             "solver": solved.card.master,
         },

@@ -1,7 +1,8 @@
 """The monolithic solution of systems of FMUs: events, algebraic loops, mixed versions, the machine."""
 
+from contextlib import nullcontext
 from itertools import product
-from math import exp, log, sqrt
+from math import exp, inf, log, nan, sqrt
 
 import numpy as np
 import pytest
@@ -14,8 +15,15 @@ from kit.ssp import ssd, system, wire
 from scipy.integrate import solve_ivp
 
 from benchmarks import monolithic
-from orchestrator import assemble, reference, run
-from orchestrator.monolithic.reference import BOUND
+from orchestrator import Coupling, Result, RunFailed, Trace, assemble, reference, run
+from orchestrator.base.errors import Problem
+from orchestrator.engine import refinement
+from orchestrator.engine.refinement import estimated_error
+from orchestrator.engine.result import Card, SignalError
+from orchestrator.fmi.interface import FmuInterface
+from orchestrator.monolithic import reference as solving
+from orchestrator.monolithic.reference import BOUND, first_step, master, tightened
+from orchestrator.ssp.system import Component, System
 
 VERSIONS = (2, 3)
 MIXED = list(product(VERSIONS, VERSIONS))
@@ -167,12 +175,12 @@ def test_an_fmu_for_co_simulation_only_is_co_simulated(fmu_dir, tmp_path):
     options = {"stop": 1.0, "record_step": 5e-3}
     truth = reference(fmu_dir / "harvester.ssp", monolithic.STROKES, **options)
     result = reference(fmu_dir / "harvester.ssp", monolithic.STROKES, swap={"manipulator": fmu}, **options)
-    reached, note = result.card.notes[-2:]
-    assert "estimated RMS error" in reached
-    assert note.startswith("no monolithic solution, but a co-simulation; reason: ")
+    note = result.card.notes[-1]
+    told = "no monolithic solution, but a co-simulation with a small step: estimated RMS error"
+    assert note.startswith(told)
     assert note.endswith(f"{fmu}: expected an FMU for model exchange, got one for co-simulation only")
     found = monolithic.differences(truth, result.trace)
-    estimates = {e.name: e.rms for e in result.card.errors}
+    estimates = {e.name: estimated_error(e) for e in result.card.errors}
     assert len(estimates) > 50
     assert max(estimates.values()) <= BOUND
     for name, error in found.items():
@@ -185,7 +193,7 @@ def test_an_fmu_that_hides_its_states_is_co_simulated(fmu_dir, tmp_path):
     """Its states cannot be set by name, so that nothing else remains."""
     fmu = edited(fmu_dir / "manipulator.fmu", tmp_path / "manipulator.fmu", (r' derivative="\d+"', ""))
     note = reference(fmu, stop=0.02).card.notes[-1]
-    assert note.startswith("no monolithic solution, but a co-simulation; reason: ")
+    assert note.startswith("no monolithic solution, but a co-simulation with a small step")
     assert "that lists all continuous states and their derivatives" in note
 
 
@@ -199,24 +207,118 @@ def test_without_a_common_interface_it_is_a_co_simulation_of_both(fmu_dir, tmp_p
     assert f"{swing}: expected an FMU for model exchange, got one for co-simulation only" in note
 
 
-def test_its_error_is_what_was_asked_for(fmus):
-    """Two masses without Model Exchange against their closed form: 1e-6, as the note says."""
-    result = reference(oscillator_of(fmus["mass_a"], fmus["mass_b"]), record_step=0.01)
-    reached, reason = result.card.notes[-2:]
-    assert reached.startswith("accuracy 1e-06 of "), reached
-    assert reason.startswith("no monolithic solution, but a co-simulation; reason: ")
+# ---- The tight co-simulation: its steps, its choice among the runs, the estimate of the error
+
+SYSTEM = System("s", {"a": Component("a", FmuInterface({}))})
+
+
+@table(__file__, "first_steps", "record_step, suggested, steps")
+def test_the_first_step_divides_the_record_step(record_step, suggested, steps):
+    """By the smallest whole number for which it exceeds neither the suggestion nor 1 ms."""
+    assert first_step(record_step, suggested) == record_step / steps
+
+
+def test_the_guard_gets_stricter_with_the_square_of_the_step():
+    """From 1e-6 on; a quarter of the step has a sixteenth. Passes end at a thousandth of the bound 1e-6."""
+    assert master(1.0) == Coupling("hermite", guard=1e-6, tolerance=1e-9)
+    assert master(0.25).guard == 1e-6 / 16
+
+
+@pytest.mark.parametrize(
+    ("order", "factor"),
+    [(None, 2), (0.5, 2), (1.0, 2), (2.0, 4 / 3), (3.0, 8 / 7), (4.0, 16 / 15), (6.0, 16 / 15)],
+)
+def test_the_error_follows_from_the_change_by_its_order(order, factor):
+    """2^p / (2^p - 1) times the change, p from 1 to 4, the order of the master."""
+    assert estimated_error(SignalError("y", 1.0, 0.3, order)) == pytest.approx(0.3 * factor, rel=1e-15)
+    assert estimated_error(SignalError("y", 1.0, nan, order)) == inf
+
+
+def outcome(step, steps):
+    """The result of a run with a step and a number of steps."""
+    return Result(SYSTEM, Trace(np.zeros(1), {}), Card("hermite", step, 0.1, steps, 1.0, 0.1))
+
+
+@table(__file__, "best_runs", "errors, bound, best, tried")
+def test_the_best_run_is_taken(monkeypatch, errors, bound, best, tried):
+    """Until the estimate meets the bound or hardly falls; each run is compared with those beside it."""
+    steps, compared = [], []
+
+    def changes(*runs):
+        compared.append([None if r is None else r.card.step for r in runs])
+        return tuple(SignalError("y", 1.0, e / 2) for e in errors[len(compared) - 1 :][:1])
+
+    def co_simulated(step, coupling):
+        assert coupling == master(step / 0.25)
+        steps.append(step)
+        return outcome(step, 1)
+
+    monkeypatch.setattr(refinement, "changes", changes)
+    result = tightened(co_simulated, 0.25, bound, "because")
+    assert steps == [0.25 * 0.5**k for k in range(tried)]
+    assert compared == [[*h] for h in zip([None, *steps], steps, steps[1:], strict=False)]
+    assert result.card.step == 0.25 * 0.5**best
+    expected = [inf if e != e else e for e in errors[best:][:1]]
+    assert [estimated_error(e) for e in result.card.errors] == expected
+
+
+@pytest.mark.parametrize(
+    ("steps", "runs"),
+    [([100_000, 300_000], 3), ([100_001, 300_000], 2), ([333_333], 2), ([333_334], 1), ([], 19)],
+)
+def test_all_runs_together_have_at_most_a_million_steps(monkeypatch, steps, runs):
+    """The next has twice as many as the last. Those that fail at the start count 1, 2, 4 ... up to 2^18."""
+    done, errors = [], iter([1.0, 0.1, 0.01, 0.001])
+
+    def co_simulated(step, _):
+        done.append(step)
+        assert len(done) < 100
+        if not steps:
+            raise RunFailed(Problem("no solution"), outcome(step, 0))
+        return outcome(step, [*steps, 10**6][len(done) - 1])
+
+    monkeypatch.setattr(refinement, "changes", lambda *_: (SignalError("y", 1.0, next(errors)),))
+    with nullcontext() if steps else pytest.raises(RunFailed, match="no solution"):
+        tightened(co_simulated, 1.0, 0.0, "because")
+    assert len(done) == runs
+
+
+def test_first_steps_may_fail_and_a_run_may_have_no_estimate():
+    """Without a run at half the step the card says so, with the reason for the co-simulation."""
+
+    def co_simulated(step, _):
+        if step != 0.25:
+            raise RunFailed(Problem("diverged"), outcome(step, 1))
+        return outcome(step, 4)
+
+    card = tightened(co_simulated, 1.0, 1e-5, "because").card
+    assert card.step == 0.25
+    assert "no estimate of its error" in card.notes[-1]
+    assert card.notes[-1].endswith("reason: because")
+
+
+def test_its_error_is_what_it_says(fmus):
+    """Two masses without Model Exchange against their closed form: 4e-8 and 4e-7, estimated to 1 %."""
+    result = solving.reference(oscillator_of(fmus["mass_a"], fmus["mass_b"]), record_step=0.01)
     truth = oscillation(result.time)
     for name, k in (("a.x", 0), ("b.x", 1)):
         rms = float(np.sqrt(np.mean((result[name] - truth[:, k]) ** 2)))
-        assert rms <= 1e-6 * np.ptp(truth[:, k])
+        claimed = next(estimated_error(e) for e in result.card.errors if e.name == name)
+        assert claimed == pytest.approx(rms / np.ptp(truth[:, k]), rel=0.01)
+        assert claimed < 1e-6
 
 
-def test_where_it_is_not_reached_the_run_is_told(fmus):
-    """FMUs that cannot repeat a step are coupled at order 1; the last run is kept, with its error."""
-    able = {"canGetAndSetFMUstate": "false"}
-    parts = [fmus.make(name, f"once_{name}", able=able) for name in ("mass_a", "mass_b")]
-    result = reference(oscillator_of(*parts), record_step=0.01)
-    assert result.complete
-    reached, reason = result.card.notes[-2:]
-    assert reached.startswith("accuracy 1e-06: not reached: estimated RMS error "), reached
-    assert reason.startswith("no monolithic solution")
+def test_the_solvers_in_the_fmus_get_a_tight_tolerance(fmus, monkeypatch):
+    """1e-10, a ten-thousandth of the smallest bound; the steps divide the record step."""
+    given = []
+
+    def noted(system, scenario, **options):
+        given.append(options)
+        return run(system, scenario, **options)
+
+    monkeypatch.setattr(solving, "run", noted)
+    ramp = {"time": [0.0, 1.0], "u": [0.0, 1.0]}
+    result = solving.reference(fmus["gain"], ramp, record_step=0.1, set={"gain.factor": 2.0})
+    assert [g["step"] for g in given] == [0.1 / 100, 0.1 / 200]
+    assert {(g["tolerance"], g["record_step"]) for g in given} == {(1e-10, 0.1)}
+    assert result["gain.y"] == pytest.approx(2.0 * result.time, abs=1e-12)  # rounding
