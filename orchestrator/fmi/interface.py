@@ -285,7 +285,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
     scalars = [scalar for v in supported for scalar in v.scalars]
     for name, count in Counter([*(v.name for v in scalars), *unsupported]).most_common(1):
         if count > 1:
-            lines = ", ".join(str(v.line) for v in [*scalars, *declared] if v.name == name)
+            lines = ", ".join(map(str, sorted({v.line for v in [*scalars, *declared] if v.name == name})))
             raise Problem(
                 f"modelDescription.xml: expected one variable {name!r}, got {count}, in lines {lines}"
             )

@@ -94,17 +94,17 @@ class Figure:
 
 @dataclass(frozen=True)
 class Columns:
-    """Figures beside each other where the page is wide enough; on pages only."""
+    """Figures and tables beside each other where the page is wide enough; on pages only."""
 
-    figures: Sequence[Figure]
+    figures: Sequence[Figure | Table]
     only: str = PAGE
 
     def __bool__(self) -> bool:
-        return bool(self.figures)
+        return any(self.figures)
 
     def html(self) -> Markup:
         """All of them."""
-        inside = Markup().join(Markup("<div>{}</div>").format(figure.html()) for figure in self.figures)
+        inside = Markup().join(Markup("<div>{}</div>").format(part.html()) for part in self.figures if part)
         return Markup('<div class="figures">{}</div>').format(inside)
 
 
@@ -246,3 +246,5 @@ def _every(parts: Sequence[Part]) -> Iterator[Part]:
         yield part
         if isinstance(part, Section):
             yield from _every(part.parts)
+        elif isinstance(part, Columns):
+            yield from _every(part.figures)

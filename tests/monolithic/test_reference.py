@@ -236,7 +236,8 @@ def test_the_error_follows_from_the_change_by_its_order(order, factor):
 
 def outcome(step, steps):
     """The result of a run with a step and a number of steps."""
-    return Result(SYSTEM, Trace(np.zeros(1), {}), Card("hermite", step, 0.1, steps, 1.0, 0.1))
+    card = Card(master="hermite", step=step, record_step=0.1, steps=steps, simulated=1.0, wall=0.1)
+    return Result(SYSTEM, Trace(np.zeros(1), {}), card)
 
 
 @table(__file__, "best_runs", "errors, bound, best, tried")

@@ -75,7 +75,9 @@ def contents(outcome: Validation, trace: Trace) -> dict[str, Any]:
             "facts": {"system": "shaft.ssp", "share": np.float64(0.5), "of": {"stopped": False, "at": None}},
             "components": (pump,),
             "parameters": (volume | {"source": "assumed", "changed": True},),
-            "accuracy": Card("jacobi", 1e-2, 1e-2, 200, 2.0, 0.8),
+            "accuracy": Card(
+                master="jacobi", step=1e-2, record_step=1e-2, steps=200, simulated=2.0, wall=0.8
+            ),
             "warnings": ("pump: pressure above 300 bar at 1.2 s",),
         },
         "machine": Markup("<p>machine</p>"),

@@ -57,12 +57,14 @@ def report(page: Content) -> Report:
     ]
     values = {n: value for n, value in page.items() if n not in ("title", "figures", "worst")}
     doubts, found = page["warnings"], page["explanation"]
+    worst = (
+        Figure(figure, title, caption, f"Worst fit: {title}") for title, figure, caption in page["worst"]
+    )
     parts: list[Part] = [
         Text([*_predicted(page["prediction"])], only=TERMINAL),
         Text([found.verdict] if found else [], only=TERMINAL),
         Text([f"warning: {doubt}" for doubt in doubts], only=TERMINAL),
-        _table(sorted(page["parameters"], key=lambda p: not p["doubt"]), PARAMETERS),
-        *(Figure(figure, title, caption, f"Worst fit: {title}") for title, figure, caption in page["worst"]),
+        Columns([_table(sorted(page["parameters"], key=lambda p: not p["doubt"]), PARAMETERS), *worst]),
         *_sections(page),
     ]
     origin = f"{upper_first(texts.origin(page['kinds']))}. Read from `{page['source']}`."

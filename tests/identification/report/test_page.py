@@ -57,7 +57,7 @@ def test_the_first_screen_has_the_intervals_the_doubts_and_the_worst_fit():
     assert shown.passed is False
     assert shown.text().count("warning: ") == 2
     tree = html.fromstring(shown.html())
-    first, second = tree.xpath("//header//div[@class='first two']/div[1]//tr[td]")
+    first, second = tree.xpath("//header//div[@class='figures']/div[1]//tr[td]")
     assert "at a bound" in first.text_content()
     assert "valve_area" in second.text_content()
     assert tree.xpath("//header//h2")[0].text_content() == "Worst fit: swing.swing_pressure_a"
