@@ -237,17 +237,19 @@ def _imported(source: Path, target: Path) -> str:
 def _along_x(tables: Mapping[str, dict[str, Any]]) -> int:
     """Turn all frames about z, so that the arm lies along x with all joints at 0; by how much [deg].
 
-    The arm lies across the horizontal axis that most revolute joints have, or the first of them, on the side
-    where its farthest centre of mass or joint is.
+    The arm begins at the first horizontal revolute joint and lies across the axis that most of its revolute
+    joints have, or the first of them, on the side where its farthest centre of mass or joint is from there.
     """
-    places = {BASE: np.zeros(3)}
+    places, arm = dict[str, Array](), dict[str, str]()  # from its first joint; names and axes of its joints
     for name, table in tables.items():
-        places[name] = places[table["parent"]] + table["at"]
-    axes = [t["axis"][-1] for t in tables.values() if t["joint"] == "revolute" and t["axis"][-1] != "z"]
-    if not axes:
+        lies = table["joint"] == "revolute" and table["axis"][-1] != "z"
+        if table["parent"] in places or (lies and not places):
+            places[name] = places[table["parent"]] + table["at"] if places else np.zeros(3)
+            arm |= {name: table["axis"][-1]} if lies else {}
+    if not arm:
         return 0
-    along = 1 if Counter(axes).most_common(1)[0][0] == "x" else 0
-    ends = [places[n][along] + x for n, table in tables.items() for x in (0.0, table["body"].centre[along])]
+    along = 1 if Counter(arm.values()).most_common(1)[0][0] == "x" else 0
+    ends = [at[along] + x for n, at in places.items() for x in (0.0, tables[n]["body"].centre[along])]
     backwards = min(ends) < -max(ends)
     quarters = (1 if backwards else -1) if along else 2 * backwards
     turn = np.rint(Rotation.from_euler("z", 90 * quarters, degrees=True).as_matrix())

@@ -196,9 +196,11 @@ def sweep(
         results = run(chosen, folder, watch=watch)
     table = results.table
     if no_report:
-        from orchestrator.studies.analysis.output_samples import counts
+        from orchestrator.studies.analysis.output_samples import counts, failures
+        from orchestrator.studies.report.study_page import causes
 
-        print(counts(results))
+        warnings = (f"warning: {w}" for w in results.warnings)
+        print("\n".join([counts(results), *causes(failures(results)), *warnings]))
     else:
         from orchestrator.studies.report import study_page
 

@@ -325,7 +325,9 @@ class TraceFile(TraceSink):
             if not self.rows:
                 writer.write_table(schema.empty_table())
                 return
-            read = csv.ReadOptions(column_names=names, skip_rows_after_names=1, block_size=BLOCK)
+            longest = sum(len(name.encode()) + 30 for name in names)  # bytes of a line: names, or numbers
+            block = max(BLOCK, 2 * longest)
+            read = csv.ReadOptions(column_names=names, skip_rows_after_names=1, block_size=block)
             numbers = csv.ConvertOptions(column_types=schema, null_values=[])
             for batch in csv.open_csv(self.partial, read, csv.ParseOptions(newlines_in_values=True), numbers):
                 check()
@@ -514,7 +516,10 @@ def read_origin(path: Path) -> str:
 def remove_partial(partial: Path) -> None:
     """Remove the partial file of an earlier run, its metadata, and what was being made of it."""
     for suffix in (METADATA_SUFFIX, *SUFFIXES):
-        partial.with_suffix(suffix).unlink(missing_ok=True)
+        old = partial.with_suffix(suffix)
+        if old.is_dir():  # as Parquet runs that were killed left it before
+            raise Problem(f"{old}: expected no folder there: move it or remove it")
+        old.unlink(missing_ok=True)
 
 
 def write_trace(trace: Trace, path: str | Path, origin: str = "") -> Path:

@@ -118,7 +118,10 @@ def _fields(declaration: str, header: dict[str, Any]) -> Iterable[tuple[str, Any
 
 # members of structures that belong to one process or to one scenario and stop time
 OF_PROCESS = frozenset(
-    ("total", "patience", "spent", "counted", "tick", "busy", "pause", "threads", "divided_count", "samples")
+    (
+        *("total", "patience", "spent", "counted", "tick", "busy", "pause", "threads"),
+        *("divided_count", "next_divided", "samples", "interval"),
+    )
 )
 
 

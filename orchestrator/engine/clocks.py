@@ -49,7 +49,7 @@ class Clocks:
             [c for c in system.connections if system.variable(c.source).kind == "Clock"], lambda c: c.source
         )
         self._sources = {c.target: c for c in system.connections}
-        variable = system.variable
+        variable, recorded = system.variable, {*network.reals.index, *network.integers.index}
         self._chained = any(
             variable(c.source).clocked and variable(c.target).clocks for c in system.connections
         )
@@ -57,9 +57,15 @@ class Clocks:
             variables = component.interface.variables.values()
             clocks = {v.reference: Port(name, v.name) for v in variables if v.kind == "Clock"}
             for v in variables:
-                if v.kind != "Clock" and v.causality in ("input", "output"):
+                own = Port(name, v.name)
+                if v.kind == "Clock" or not v.clocked:
+                    continue
+                driven = own in network.held_values and own not in self._sources
+                if component.has_start(v.name) and not driven:  # until its clock ticks
+                    network.store(own, component.value(v.name))
+                if v.causality in ("input", "output") or own in recorded:
                     for port in (clocks[r] for r in v.clocks if r in clocks):
-                        self._variables.setdefault(port, []).append(Port(name, v.name))
+                        self._variables.setdefault(port, []).append(own)
             for port in clocks.values():
                 clock, slave = system.variable(port), network.slaves[name]
                 if clock.causality == "output":
@@ -74,7 +80,7 @@ class Clocks:
         if clock.get("intervalVariability") == "countdown":
             return Timed(port, slave, clock, None, None)
         if interval is None:
-            interval = slave.interval(clock)[1]
+            interval = slave.first_intervals[clock.name]
         self._check(port, interval, interval > 0)
         return Timed(port, slave, clock, interval, self._start + (clock.fraction("shift") or 0))
 
@@ -133,6 +139,7 @@ class Clocks:
                 if port not in self._active and self._slave(port).ticks(port.variable):
                     self._active.add(port)
                     ticked.append(port)
+                    changed |= port in self._variables  # which are read in the next round
                     self.pending |= {c.target for c in self._wires.get(port, ())}
         raise Unsettled(
             f"{self._network.system.name}: the clocks do not settle: {', '.join(map(str, ticked[-3:]))}"
@@ -149,7 +156,7 @@ class Clocks:
         ports = dict.fromkeys(p for clock in active for p in self._variables.get(clock, ()))
         variables = {port: network.system.variable(port) for port in ports}
         for port, variable in variables.items():
-            if variable.causality == "input" and port in network.held_values:
+            if port in network.held_values:
                 wire = self._sources.get(port)
                 value = network.stored(wire.source if wire else port)
                 if value is None:  # a text that its clock has not given yet
@@ -158,7 +165,7 @@ class Clocks:
                 network.slaves[port.component].set(port.variable, value)
                 network.store(port, value)
         for port, variable in variables.items():
-            if variable.causality == "output":
+            if variable.causality != "input":
                 found |= network.store(port, network.slaves[port.component].get(port.variable))
         return found
 

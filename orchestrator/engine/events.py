@@ -153,7 +153,6 @@ class Instants:
         for _ in range(MAX_EVENT_ITERATIONS):
             due = self._clocks.begin(t, state.tolerance)
             changed += [*map(str, due), *self._once(t)]
-            self._clocks.finish()
             if self._clocks.next > t + state.tolerance:
                 state.next = min(state.next, self._clocks.next)
                 return [*dict.fromkeys(changed)]
@@ -174,6 +173,8 @@ class Instants:
             slave.enter_events()
         where = f"{self._network.system.name}: t = {t:.9g} s"
         ended, times = settle(where, {n: slave.update for n, slave in self._members.items()}, copied)
+        if self._clocks:
+            self._clocks.finish()
         for slave in self._members.values():
             slave.leave_events()
         if ended:

@@ -67,7 +67,7 @@ def open_slave(component: Component) -> Slave:
         return SteppedFmu(component, component.source)
     from orchestrator.fmi.cosimulation import CoSimulationFmu
 
-    return CoSimulationFmu(component.name, component.interface, component.source, component.start)
+    return CoSimulationFmu(component.name, component.interface, component.source, component.whole_start)
 
 
 # Of `run`, in SI units, without those that nobody chose; deadline: end of the time limit of all runs of a

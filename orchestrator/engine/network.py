@@ -489,28 +489,32 @@ class Texts:
         self.changes = list[tuple[float, str, str]]()
 
     def store(self, port: Port, value: str, t: float) -> bool:
-        """Store a value; is it another one?"""
+        """Store a value, and set the inputs that belong to no clock, if it is another one; is it?"""
         if self.last.get(port) == value:
             return False
         self.last[port] = value
         if port in self.wires:
             self.changes.append((t, str(port), value))
+        for target in self.wires.get(port, ()):
+            if not self._system.variable(target).clocked:
+                self._slaves[target.component].set(target.variable, value)
         return True
 
     def exchange(self) -> None:
-        """Read the outputs that belong to no clock, and set the inputs of those that have changed."""
-        for port, targets in self.plain.items():
+        """Read and store the outputs that belong to no clock."""
+        for port in self.plain:
             slave = self._slaves[port.component]
-            value = str(slave.get(port.variable))
-            if self.store(port, value, slave.log.time):
-                for target in targets:
-                    if not self._system.variable(target).clocked:
-                        self._slaves[target.component].set(target.variable, value)
+            self.store(port, str(slave.get(port.variable)), slave.log.time)
 
     def withdraw(self, t: float) -> None:
         """Forget what has changed after a time [s], in a step that is repeated."""
+        withdrawn = set[str]()
         while self.changes and self.changes[-1][0] > t:
-            self.changes.pop()
+            withdrawn.add(self.changes.pop()[1])
+        for name in withdrawn:
+            port = self._system.port(name)
+            del self.last[port]
+            self.last |= next(({port: value} for _, n, value in reversed(self.changes) if n == name), {})
 
 
 # ---- initialisation
@@ -534,8 +538,9 @@ def initialise(
         # the sum of equal steps may be carried by rounding beyond the true stop time
         stop = span[1] if slave.interface.variable_step else span[1] + 4.0 * math.ulp(span[1])
         slave.setup(span[0], stop, tolerances.get(name) if tolerances else None)
-        set_starts(slave, system.components[name].whole_start)
-    _set(slaves, driven)  # some FMUs compute start values when they enter initialisation mode
+        # some FMUs compute start values when they enter initialisation mode
+        begin = {p.variable: value for p, value in driven.items() if p.component == name}
+        set_starts(slave, system.components[name].with_start(begin, "").whole_start)
     for slave in slaves.values():
         slave.enter()
     _set(slaves, driven)

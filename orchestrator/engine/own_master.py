@@ -45,9 +45,14 @@ class Components(dict[str, Slave]):
         raise KeyError(f"no component {name!r}{suggest(name, self)}")
 
     def send(self, name: str) -> None:
-        """Set the inputs that the outputs of one component feed."""
-        source = self[name]
+        """Set the inputs that the outputs of one component feed, without texts and variables of clocks.
+
+        Those go along at the end of the step, and in `exchange`.
+        """
+        source, of = self[name], self._network.system.variable
         for c in (c for c in self._network.connections if c.source.component == source.name):
+            if of(c.source).clocked or of(c.target).clocked:
+                continue
             target, variable = self[c.target.component], c.target.variable
             value = c.carried(source.get(c.source.variable), target.interface.variables[variable])
             target.set(variable, value)

@@ -6,10 +6,12 @@ the signals, are in trace.run.json next to trace.csv; `harvester compare` reads 
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from html import escape
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -622,20 +624,21 @@ def write_metadata(result: Result, trace: Path) -> Path:
     return write_whole(metadata_file(trace), text)
 
 
-EVENTS, TEXTS = "time,causes\n", "time,signal,text\n"  # headings of files
+EVENTS, TEXTS = ("time", "causes"), ("time", "signal", "text")  # headings of files
 
 
 def write_events(card: Card, trace: Path) -> None:
     """Write events, and changes of texts, next to a trace; without any, remove those of an earlier run."""
-    events = [f"{e.time!r},{' '.join(e.causes)}\n" for e in card.events]
-    texts = [f"{t!r},{signal},{json.dumps(text, ensure_ascii=False)}\n" for t, signal, text in card.texts]
-    for kind, head, lines in (("events", EVENTS, events), ("texts", TEXTS, texts)):
+    events = [(e.time, " ".join(e.causes)) for e in card.events]
+    for kind, head, rows in (("events", EVENTS, events), ("texts", TEXTS, card.texts)):
         file = trace.with_suffix(f".{kind}.csv")
-        if lines:
-            write_whole(file, "".join([head, *lines]))
+        if rows:
+            lines = StringIO()
+            csv.writer(lines, lineterminator="\n").writerows([head, *rows])
+            write_whole(file, lines.getvalue())
         elif file.is_file():
             with file.open(encoding="utf-8", errors="replace") as stream:
-                if stream.readline() == head:  # it could be a trace of another name
+                if stream.readline().strip() == ",".join(head):  # it could be a trace of another name
                     file.unlink()
 
 

@@ -42,8 +42,13 @@ def asked(options: Mapping[str, Any], times: Grid) -> tuple[Path, float] | None:
     if given is None:
         return None
     name, at, text = str(given).rpartition("@")
+    if Path(text).name != text:  # an @ in the name of a folder
+        name, at, text = "", "", str(given)
+    file = Path(name if at else text)
+    if file.is_dir():  # as "" is
+        raise Problem(f"save_state: expected the name of a file, FILE or FILE@TIME, got {str(given)!r}")
     if not at:
-        return Path(text), times.stop
+        return file, times.stop
     time = float(seconds(text, f"save_state {given}") or 0.0)
     if not times.start < time <= times.stop:
         span = f"from {times.start:g} s to {times.stop:g} s"
@@ -53,23 +58,27 @@ def asked(options: Mapping[str, Any], times: Grid) -> tuple[Path, float] | None:
     if abs(nearest - time) > 1e-9 * max(abs(time), times.step):
         expected = f"expected a communication point, such as {nearest:.9g} s"
         raise Problem(f"save_state {given}: {expected}, got {text}")
-    return Path(name), nearest
+    return file, nearest
 
 
-def check(job: Job) -> None:
-    """Raise Problem for options that exclude each other, and FMUs that cannot be saved."""
+def check(job: Job) -> tuple[str, ...]:
+    """Raise Problem for options that exclude each other, and FMUs that cannot be saved; returns notes."""
     given = [name for name in ("save_state", "resume") if job.options.get(name) is not None]
     if not given:
-        return
+        return ()
     asked(job.options, job.times)
     for name in ("accuracy", "error_estimate"):
         if job.options.get(name):
             raise Problem(f"{given[0]}: expected one run with a given master and step, got {name}")
+    if job.options.get("resume") == "":
+        raise Problem("resume: expected the file of a state, got an empty name")
     for name, component in job.system.components.items():
         face = component.interface
         entry = face.model.interfaces.get(face.kind)
         if component.source is None or entry is None or not (face.rollback and entry.declares(*SERIALISES)):
             raise Problem(f"{given[0]}: {name} cannot serialise its state: expected FMUs that can")
+    own = job.coupling.method
+    return (f"{given[0]}: what master {own.name} keeps in Python is not in the state",) if own.step else ()
 
 
 def _identity(job: Job, loop: SimulationLoop) -> dict[str, Any]:
@@ -129,6 +138,7 @@ def resume(file: Path, job: Job, loop: SimulationLoop) -> None:
     for k, slave in enumerate(_fmus(loop)):
         first = f"fmu_{k}_"
         slave.resume({n.removeprefix(first): a for n, a in arrays.items() if n.startswith(first)})
+    loop.resume()
 
 
 def _fmus(loop: SimulationLoop) -> Iterator[RunningFmu]:

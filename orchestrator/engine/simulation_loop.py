@@ -276,7 +276,7 @@ class SimulationLoop:
 
     def __init__(self, job: Job, network: Network, sink: TraceSink, selected: Sequence[Port] | None) -> None:
         """selected: the recorded signals; None: all."""
-        check_saved(job)
+        of_state = check_saved(job)
         self.network, self.times = network, job.times
         self._binding, self.state = network.binding, network.binding.simulation
         master = job.coupling.method
@@ -309,6 +309,7 @@ class SimulationLoop:
                 self.errors = errors
         of_prediction = prediction.notes if prediction else ()
         self.notes = (
+            *of_state,
             *late_notes(job.system, job.coupling),
             *plan.notes,
             *_rollback_notes(job),
@@ -358,7 +359,7 @@ class SimulationLoop:
         return {"t": self.state.t, "events": events, "texts": texts, "changes": self.network.texts.changes}
 
     def restore(self, memory: Sequence[NDArray[Any]], saved: Mapping[str, Any]) -> None:
-        """Go on from a saved state, whose FMUs follow."""
+        """Go on from a saved state; `resume` follows when its FMUs have theirs."""
         parts = self._binding.memory()
         if [part.nbytes for part in parts] != [part.nbytes for part in memory]:
             raise Problem(
@@ -371,6 +372,12 @@ class SimulationLoop:
         texts.changes = [(t, name, text) for t, name, text in saved["changes"]]
         if self._instants:
             self._instants.resume(saved["events"])
+        if self.times.free:  # the only point of the grid is the stop time, which may be another one
+            self.state.done, self.state.step = 0, self.times.step
+
+    def resume(self) -> None:
+        """After `restore` of all: inputs jump where another scenario has other values; the first row."""
+        self._binding.call("simulation_resume")
         self.recorder.resume()
 
     def advance(self) -> None:

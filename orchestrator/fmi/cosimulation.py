@@ -42,6 +42,7 @@ class RunningFmu:
     event_mode   it has event mode between steps: variables that are not continuous are set there
     in_events    it is in event mode
     next_event   time of its next time event, as far as it has event mode between steps [s]
+    first_intervals   of clocks that tick by time and declare no interval [s]
     """
 
     event_mode = in_events = _asks = False
@@ -51,8 +52,8 @@ class RunningFmu:
         """`after`: see `FmuInstance`."""
         self.name, self.interface, self.log = name, interface, Log(name, interface.marks)
         self._label, self._stepping, self._after = f"{name} ({fmu})", False, after
+        self.first_intervals = dict[str, Fraction]()
         self._clock_calls = dict[tuple[str, str], tuple[Call, Any]]()
-        self._given = dict[str, list[Value]]()  # values of arrays, until the initialisation mode
         self._cleanup = ExitStack()
         try:
             self._open(fmu)
@@ -95,7 +96,6 @@ class RunningFmu:
 
     def enter(self) -> None:
         """Enter initialisation mode."""
-        self._given.clear()
         self.fmu.enter()
 
     def exit(self) -> None:
@@ -174,7 +174,7 @@ class RunningFmu:
     ) -> Call:
         """A call for a part of the elements of arrays, which an FMU gets and sets whole.
 
-        To set some, all are read before; `_given` has them before the initialisation mode.
+        To set some, all are read before, as an FMU allows from its initialisation mode on.
         """
         index = {name: k for k, name in enumerate(elements)}
         part, buffer = np.array([index[v] for v in variables]), np.zeros(len(elements), values.dtype)
@@ -313,9 +313,7 @@ class RunningFmu:
         return self.fmu.library.has(f"Get{variable.function_type}")
 
     def _values(self, whole: FmuVariable) -> list[Value]:
-        """The values of an array or a scalar; before the initialisation mode those that were set."""
-        if whole.name in self._given:
-            return self._given[whole.name]
+        """The values of an array or a scalar."""
         if whole.kind == "Binary":
             pointers, sizes = (ctypes.c_void_p * whole.size)(), (ctypes.c_size_t * whole.size)()
             references = self.fmu.references([whole.reference])
@@ -347,7 +345,6 @@ class RunningFmu:
             values[declared.position] = value
         elif declared.shape:
             values = [*value]
-            self._given[declared.name] = values
         ctype = self.fmu.types[whole.function_type]
         if whole.kind == "Binary":
             data = [bytes.fromhex(str(v)) for v in values]
@@ -480,6 +477,10 @@ class CoSimulationFmu(RunningFmu):
         super().exit()
         if self.event_mode:
             self.in_events = True
+            clocks = [v for v in self.interface.of("input") if v.kind == "Clock"]
+            timed = [v for v in clocks if v.get("intervalVariability") not in ("triggered", "countdown")]
+            asked = [v for v in timed if v.fraction("interval") is None]
+            self.first_intervals = {v.name: self.interval(v)[1] for v in asked}
             self._settle()
 
     def close(self) -> None:

@@ -373,6 +373,7 @@ class ModelDescription(Entry):
     held_inputs     inputs that the FMU takes as constant in a step, from this project's annotation
     noisy_outputs   outputs that jump by noise or a resolution, from this project's annotation
     parameter_sets  files of parameters that the FMU was built with, from this project's annotation
+    original        the description of the file, if structural parameters have other values
     """
 
     major: int = 0
@@ -389,6 +390,7 @@ class ModelDescription(Entry):
     held_inputs: frozenset[str] = frozenset()
     noisy_outputs: frozenset[str] = frozenset()
     parameter_sets: tuple[ParameterSetFile, ...] = ()
+    original: ModelDescription | None = None
 
     @cached_property
     def by_name(self) -> Mapping[str, FmuVariable]:
@@ -421,7 +423,8 @@ class ModelDescription(Entry):
             for section, of in self.structure.items()
         }
         by_key = {key: sized[v] for key, v in self.by_key.items()}
-        return replace(self, variables=tuple(sized.values()), by_key=by_key, structure=structure)
+        variables = tuple(sized.values())
+        return replace(self, variables=variables, by_key=by_key, structure=structure, original=self)
 
     @property
     def token(self) -> str:

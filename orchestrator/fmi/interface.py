@@ -125,11 +125,11 @@ class FmuInterface:
     def resized(self, values: Mapping[str, Any]) -> "FmuInterface":
         """The interface with other values of structural parameters, which are sizes of arrays."""
         sizes = {of for v in self.arrays.values() for of in v.sizes}
-        of_parameters = {v.reference: n for n, v in self.variables.items() if v.reference in sizes}
-        lengths = {k: int(values[n]) for k, n in of_parameters.items() if n in values}
+        given = ((self.variables[n].reference, value) for n, value in values.items() if n in self.variables)
+        lengths = {reference: int(value) for reference, value in given if reference in sizes}
         if all(v.sized(lengths) is v for v in self.arrays.values()):
             return self
-        return _checked(self.model.resized(lengths), self.kind)
+        return _checked((self.model.original or self.model).resized(lengths), self.kind)
 
     @cached_property
     def positions(self) -> dict[str, int]:
@@ -296,7 +296,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
     )
     inputs = {name for name, v in variables.items() if v.causality == "input"}
     outputs, derivatives, initial = (
-        _dependencies(description, description.structure[section])
+        _dependencies(description, description.structure[section], unsupported)
         for section in ("outputs", "derivatives", "initial")
     )
     exchange = MODEL_EXCHANGE in description.interfaces
@@ -317,14 +317,14 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         model=description,
         unsupported=unsupported,
         can_interpolate_inputs=capabilities.declares("canInterpolateInputs") and fmi == 2,
-        rate_inputs=_rate_inputs(declared, description, variables),
+        rate_inputs=_rate_inputs(supported, description, variables),
         event_indicators=indicators if fmi == 2 else _indicator_count(description),
         completed_step=capabilities.declares("needsCompletedIntegratorStep")
         if fmi == 3
         else not capabilities.declares("completedIntegratorStepNotNeeded"),
         stateless=exchange and not derivatives,
         unused_inputs=frozenset(inputs.difference(*known) if exchange and None not in used else ()),
-        states=_states(description, variables),
+        states=_states(description, unsupported),
         start=_number(experiment, "startTime"),
         step=_number(experiment, "stepSize") or _number(capabilities, "fixedInternalStepSize"),
         stop=_number(experiment, "stopTime"),
@@ -398,6 +398,8 @@ def _check_variable(v: FmuVariable) -> None:
         raise Problem(f"{v}: valueReference: expected a whole number below 2^32, got {got!r}")
     if (v.causality, v.variability) not in INITIAL and not v.get("initial"):
         raise Problem(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
+    if any((n or 0) < 0 for n in v.shape):
+        raise Problem(f"{v}: expected dimensions of 0 or more, got ({', '.join(map(str, v.shape))})")
     if v.shape and len(v.starts or ()) not in (0, 1, v.size):
         raise Problem(f"{v}: expected {v.size} start values, got {len(v.starts or ())}")
     try:
@@ -409,9 +411,9 @@ def _check_variable(v: FmuVariable) -> None:
 
 
 def _dependencies(
-    description: ModelDescription, unknowns: Iterable[Unknown]
+    description: ModelDescription, unknowns: Iterable[Unknown], unsupported: Mapping[str, str]
 ) -> dict[str, frozenset[str] | None]:
-    """Unknown -> variables it depends on, aliases included; None if not declared."""
+    """Unknown -> variables it depends on, aliases included; None if not declared. No arrays left out."""
     result: dict[str, frozenset[str] | None] = {}
     for u in unknowns:
         if u.variable is None:
@@ -421,8 +423,10 @@ def _dependencies(
             variables = [description.by_key.get(-1 if key is None else key) for key in u.dependencies]
             if None in variables:
                 raise Problem(f"{u}: dependency {u.dependencies[variables.index(None)]} is not a variable")
-            names = frozenset(name for v in variables if v for name in v.names)
-        result |= dict.fromkeys(u.variable.names, names)
+            supported = [v for v in variables if v and not (v.shape and v.name in unsupported)]
+            names = frozenset(name for v in supported for name in v.names)
+        if not (u.variable.shape and u.variable.name in unsupported):
+            result |= dict.fromkeys(u.variable.names, names)
     return result
 
 
@@ -434,19 +438,19 @@ def _indicator_count(description: ModelDescription) -> int:
         raise Problem(f"event indicator {error}") from None
 
 
-def _states(description: ModelDescription, variables: Mapping[str, FmuVariable]) -> dict[str, str]:
+def _states(description: ModelDescription, unsupported: Mapping[str, str]) -> dict[str, str]:
     """Continuous states and their time derivatives; empty if one of them is missing or unsupported."""
-    pairs = [(description.state_of(v), v) for v in description.derivatives]
-    names = [
-        (s, rate) for state, v in pairs if state for s, rate in zip(state.elements, v.elements, strict=False)
-    ]
-    states = dict(names)
-    complete = len(states) == sum(len(v.elements) for v in description.derivatives)
-    return states if complete and all(name in variables for pair in states.items() for name in pair) else {}
+    states = dict[str, str]()
+    for v in description.derivatives:
+        state = description.state_of(v)
+        if state is None or state.name in unsupported or v.name in unsupported:
+            return {}
+        states |= zip(state.elements, v.elements, strict=False)
+    return states if len(states) == sum(v.size for v in description.derivatives) else {}
 
 
 def _rate_inputs(
-    declared: Iterable[FmuVariable], description: ModelDescription, variables: Mapping[str, FmuVariable]
+    supported: Iterable[FmuVariable], description: ModelDescription, variables: Mapping[str, FmuVariable]
 ) -> dict[str, str]:
     """Inputs and the inputs that are their time derivatives, if the units agree.
 
@@ -455,7 +459,7 @@ def _rate_inputs(
     """
     pairs = {
         of: rate
-        for v in declared
+        for v in supported
         if (state := description.state_of(v))
         for of, rate in zip(state.elements, v.elements, strict=False)
     }

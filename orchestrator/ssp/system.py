@@ -74,16 +74,25 @@ class Component:
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        """Arrays have the sizes that structural parameters give them."""
-        object.__setattr__(self, "interface", self.interface.resized(self.start))
+        """Arrays have the sizes that structural parameters give them; elements may vanish."""
+        resized = self.interface.resized(self.start)
+        if resized is not self.interface:
+            object.__setattr__(self, "interface", resized)
+            for name in ("start", "origins"):
+                left = {n: v for n, v in getattr(self, name).items() if n in resized.variables}
+                object.__setattr__(self, name, left)
 
     @cached_property
     def whole_start(self) -> Mapping[str, Value]:
-        """The start values of the system; of an array with some of them those of the FMU, too."""
+        """The start values of the system; of an array with some of them those of the FMU, too.
+
+        Elements without any, which are fed, begin with 0 or an empty text.
+        """
         variables = self.interface.variables
         arrays = dict.fromkeys(a for name in self.start if (a := variables[name].array))
-        values = {e: self.value(e) for array in arrays for e in array.elements if self.has_start(e)}
-        return {**self.start, **values}
+        blank = {e: 0 if a.is_number else "" for a in arrays for e in a.elements if not self.has_start(e)}
+        values = {e: self.value(e) for array in arrays for e in array.elements if e not in blank}
+        return {**self.start, **blank, **values}
 
     def with_start(self, values: Mapping[str, Value], origin: str) -> Component:
         """The component with other start values; origin: where they come from, if a user chose them."""
@@ -320,7 +329,9 @@ class System:
                 kept += wires
                 continue
             names = Port(*source), Port(*target)
-            whole = before.pairs(*map(str, names)) if source in arrays and target in arrays else None
+            shapes = [was[n][a].shape for n, a in (source, target) if (n, a) in arrays]
+            alike = len(shapes) == 2 and shapes[0] == shapes[1]
+            whole = before.pairs(*map(str, names)) if alike else None
             if whole != [(c.source, c.target) for c in wires]:
                 gone = [p for c in wires for p in (c.source, c.target) if not self.find(str(p))]
                 if gone:

@@ -46,11 +46,13 @@ def write_ssp(
         version = "2.0" if any(c.interface.model.major == 3 for c in system.components.values()) else "1.0"
     if version not in TYPES:
         raise Problem(f"{system.name}: SSP version: expected one of {', '.join(TYPES)}, got {version!r}")
+    _check_types(system)
     sets = sets or {}
     for name in bound:
         if name not in sets:
             raise Problem(f"{system.name}: bound set {name}: expected one of the sets {', '.join(sets)}")
-    signals = [(c.name, v) for c in system.components.values() for v in c.interface.of("output")]
+    outputs = [(p.component, system.variable(p)) for p in system.ports("output")]
+    signals = [(name, v) for name, v in outputs if _has_type(v)]
     units = defined_units(v.unit for _, v in signals)
     dictionary = _file("signals.ssb", version, tool=generation_tool(), outputs=signals, units=units)
     files = _other_resources(system) | {"signals.ssb": dictionary, **(resources or {})}
@@ -70,6 +72,21 @@ def write_ssp(
     content = {DEFINITION: _structure(system, version, bound)}
     write_zip(Path(path), content | {f"{RESOURCES}/{name}": data for name, data in files.items()})
     return Path(path)
+
+
+def _check_types(system: System) -> None:
+    """Refuse connections and start values of clocks and binaries, which `load` does not take either."""
+    starts = [Port(c.name, v) for c in system.components.values() for v in c.start]
+    for port in (*(c.source for c in system.connections), *starts):
+        if not _has_type(variable := system.variable(port)):
+            raise Problem(
+                f"{system.name}: {port}: expected a number or a text in a file, got a {variable.kind}"
+            )
+
+
+def _has_type(variable: FmuVariable) -> bool:
+    """Is it of a type that files have?"""
+    return all(variable.value_type in types for types in TYPES.values())
 
 
 def _other_resources(system: System) -> dict[str, bytes]:
@@ -143,7 +160,8 @@ def _ports(s: System, component: Component) -> tuple[list[str], list[str]]:
     read = {c.source for c in s.connections} | {o.source for o in s.outputs.values()}
     ports = [(Port(component.name, v.name), v) for v in component.interface.variables.values()]
     inputs = [v.name for port, v in ports if port in fed]
-    return inputs, [v.name for port, v in ports if v.causality == "output" or port in read]
+    outputs = [v.name for port, v in ports if v.causality == "output" or port in read]
+    return inputs, [name for name in outputs if _has_type(component.interface.variables[name])]
 
 
 def _box(place: int, sides: tuple[list[str], list[str]]) -> tuple[float, float, float, float]:

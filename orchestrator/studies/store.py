@@ -316,7 +316,8 @@ def _read_study_json(file: Path) -> dict[str, Any]:
     try:
         stored: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         stored["study"], stored["files"], stored["title"]
-    except (ValueError, TypeError, KeyError, RecursionError):
+        dict(_flat("", stored["study"]))
+    except (ValueError, TypeError, KeyError, RecursionError):  # such as items without a name
         raise Problem(f"{file}: is not the study.json of a parameter study; --fresh deletes it") from None
     return stored
 

@@ -12,9 +12,13 @@ LARGEST = 2 * 10**9  # bytes; a run of an hour with all signals has about 0.5e9 
 MOST = 1000  # listed files
 
 
-def list_results(folders: Sequence[Path]) -> list[str]:
-    """Names of the result files in the folders, for `find_result`."""
-    return list(dict.fromkeys(path.name for path in _files(folders)))[:MOST]
+def list_results(folders: Sequence[Path]) -> dict[str, Path]:
+    """The result files in the folders by name, at most `MOST`, without huge ones."""
+    files = dict[str, Path]()
+    for path in _files(folders):
+        if len(files) < MOST and path.stat().st_size <= LARGEST:
+            files.setdefault(path.name, path)
+    return files
 
 
 def find_result(name: object, folders: Sequence[Path]) -> Path:

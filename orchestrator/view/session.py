@@ -95,8 +95,8 @@ class Session:
 
     def files(self) -> list[str]:
         """Names of the result files in the open folders that can be replayed."""
-        results = ((name, find_result(name, self.folders)) for name in list_results(self.folders))
-        return [name for name, path in results if self._fits(by_bare_name(columns_of(path)))]
+        results = list_results(self.folders)
+        return [name for name, path in results.items() if self._fits(by_bare_name(columns_of(path)))]
 
     def recording(self, name: str) -> dict[str, Any]:
         """What a page needs to replay a result file of the open folders; without a name that of `file`."""

@@ -22,6 +22,7 @@ from fmus.crane.controller import controlled
 from fmus.crane.description import read
 from fmus.crane.machine import crane_machine, tracked
 from fmus.machine.path_following import follow
+from fmus.machine.poses import outputs_at_start
 from fmus.machine.sway import sway
 from fmus.parameters import values
 from orchestrator import load
@@ -143,7 +144,8 @@ def test_an_arm_beside_the_slewing_axis_moves_its_tip_as_asked(tmp_path, beside)
     Its angle about the axis is that of x and y: atan(d/sqrt(r^2 - d^2)) ahead of the slew.
     """
     boom = '["-180 mm", 0, "1274 mm"]'
-    sub = crane_machine(read(changed(tmp_path, (boom, boom.replace("0,", f'"{beside}",'))))).controller
+    whole = crane_machine(read(changed(tmp_path, (boom, boom.replace("0,", f'"{beside}",')))))
+    sub, shown = whole.controller, outputs_at_start(whole.subsystems["manipulator"])
     arm, p = sub.model.arm, nested(sub.parameters, values(sub).p)
     q, rates, wanted = (ca.SX.sym(n, size) for n, size in (("q", 4), ("rates", 4), ("wanted", 3)))
     each = ca.vertsplit(q)
@@ -152,6 +154,7 @@ def test_an_arm_beside_the_slewing_axis_moves_its_tip_as_asked(tmp_path, beside)
         return column(at.radius, at.height, at.angle)
 
     place = parts(arm.tip(each, p))
+    place_of = ca.Function("place", [q], [place])
     speeds = column(*arm.joint_speeds(each, Cylindrical(*ca.vertsplit(wanted)), p))
     given = parts(arm.tip_velocity(each, ca.vertsplit(rates), p))
     found = ca.Function(
@@ -160,6 +163,9 @@ def test_an_arm_beside_the_slewing_axis_moves_its_tip_as_asked(tmp_path, beside)
     at, zero, moved = (
         x.full()[:, 0] for x in found([0.3, 0.35, -1.05, 0.4], [0.1, 0.2, -0.3, 0.05], [0.5, 0.2, 0.1])
     )
+    start = place_of([shown[a.coordinate[0]] for a in arm.axes])
+    own = [shown[f"crane_tip_{n}"] for n in ("radius", "height", "angle")]
+    assert own == pytest.approx(start.full()[:, 0], abs=1e-9)  # of the mechanics; the start is solved
     d = float(beside.split()[0]) * (1e-3 if "mm" in beside else 1)
     assert at[2] == pytest.approx(0.3 + math.atan(d / math.sqrt(at[0] ** 2 - d**2)), abs=1e-12)
     assert zero == pytest.approx(np.zeros(3), abs=1e-12)  # rounding

@@ -101,6 +101,19 @@ def test_an_arm_that_lies_along_another_axis_is_turned(tmp_path, yaw):
         assert [other[n] for n in one.numbers] == pytest.approx([one[n] for n in one.numbers], abs=1e-11)
 
 
+def test_weight_behind_an_upright_arm_turns_nothing(tmp_path):
+    """The arm alone decides, from its first horizontal joint on."""
+    text = """<robot name="r"><link name="base"/><link name="column"><inertial><origin xyz="-0.9 0 0"/>
+<mass value="500"/><inertia ixx="9" iyy="9" izz="9" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="boom"><inertial><origin xyz="0.2 0 1"/><mass value="90"/>
+<inertia ixx="9" iyy="9" izz="9" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="slew" type="continuous"><parent link="base"/><child link="column"/><axis xyz="0 0 1"/></joint>
+<joint name="lift" type="continuous"><parent link="column"/><child link="boom"/><origin xyz="-0.3 0 1"/>
+<axis xyz="0 -1 0"/></joint></robot>"""
+    (tmp_path / "a.urdf").write_text(text, encoding="utf-8")
+    assert "turned" not in imported(tmp_path / "a.urdf", tmp_path / "a.toml")
+
+
 TURN, Z, NAN = 'rpy="1.5707963267948966 0 0', '<axis xyz="0 0 1"/>', '<axis xyz="nan 0 1"/>'
 RING = '<link name="b"/><link name="c"/>' + JOINT.format("j5", "b", "c") + JOINT.format("j6", "c", "b")
 REFUSED = {

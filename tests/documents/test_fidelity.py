@@ -53,7 +53,7 @@ def test_every_variant_has_a_line(fmu_dir, tmp_path, part):
     errors = {n: r["signals"]["manipulator.boom_speed"] for n, r in found["runs"].items() if "signals" in r}
     assert set(errors) == set(FAMILIES[part]) - {found["reference"]}
     assert all(error["nrmse"] > 0 for error in errors.values())
-    assert (tmp_path / "comparison.png").stat().st_size > 0
+    assert (tmp_path / "comparison.html").stat().st_size > 0
 
 
 def test_a_folder_without_a_build_is_told_in_one_line(tmp_path):

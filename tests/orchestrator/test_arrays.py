@@ -1,6 +1,6 @@
 """Arrays of FMI 3.0: elements are signals; FMUs take them whole. By closed forms, with the FMU of bank.c."""
 
-import zipfile
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from kit.any_fmu.models import bank_fmu
 from kit.mistakes import problem
 from kit.ssp import bound, connector, inline, second, ssd, system, wire
 
-from orchestrator import Coupling, Trace, assemble, linearize, load, reference, run
+from orchestrator import Coupling, Trace, assemble, linearize, load, reference, run, write_ssp
 
 STEP, STOP = 0.1, 1.0
 ROUNDING = 1e-13  # of sums of a few terms of order 1
@@ -48,6 +48,29 @@ def test_sizes_follow_from_structural_parameters(bank, kind, n):
     assert result.units["bank.y[1]"] == "m"
 
 
+FIVE = {"bank.n": 5, "bank.k": "1 2 3 4 5", "bank.m": "1 1 1 1 1 0 0 0 0 1", "bank.u": "1 1 1 1 1"}
+
+
+@pytest.mark.parametrize(
+    ("before", "then", "k", "y"),
+    [
+        (FIVE, {"bank.n": 2}, [1, 2], [1, 1]),  # elements keep their values, others vanish
+        ({"bank.n": 2, "bank.u": "1 1"}, {"bank.n": 3, "bank.u": "1 1 1"}, [1, 2, 3], [1, 1, 1]),
+        ({"bank.n": 2, "bank.k": "3 4"}, {"bank.m": "1 1 0 0", "bank.u": "1 0"}, [3, 4], [1, 0]),
+        ({"bank.size": 2, "bank.k": "3 4"}, {"bank.m": "1 1 0 0", "bank.u": "1 0"}, [3, 4], [1, 0]),
+    ],
+)
+def test_sizes_change_more_than_once(tmp_path, before, then, k, y):
+    """Start values of elements that are left stay; those of the FMU return with its sizes; also by a file."""
+    alias = {'fixed" start="3"/>': 'fixed" start="3"><Alias name="size"/></UInt64>'}
+    first = load(bank_fmu(tmp_path / "bank.fmu", alias)).with_start(before)
+    write_ssp(first, tmp_path / "first.ssp")
+    for sized_so in (first, load(tmp_path / "first.ssp")):
+        result = run(sized_so, set=then, step=STEP, stop=STOP)
+        exact = states(result.time, np.array(k), np.array(y)).sum(1)
+        np.testing.assert_allclose(result["bank.y[1]"], exact, atol=ROUNDING * 10)
+
+
 MASTERS = [Coupling(m) for m in ("jacobi", "gauss-seidel", "hermite", "interface-jacobian")]
 
 
@@ -74,6 +97,25 @@ def test_a_part_of_an_array_leaves_the_rest(bank):
     assert result["b.u[3]"][-1] == 0.5
 
 
+def test_start_values_and_a_scenario_begin_together(bank):
+    """The initialisation mode begins with all of them, and the FMU is not read before."""
+    scenario = Trace(np.array([0.0, STOP]), {f"bank.u[{i}]": np.full(2, float(i)) for i in (1, 2)})
+    for given in ({}, {"bank.u[3]": 4.0}):
+        result = run(str(bank), scenario, set=given, step=STEP, record=of("bank.begin", 3))
+        assert [result[name][0] for name in of("bank.begin", 3)] == [1, 2, given.get("bank.u[3]", 0)]
+
+
+@pytest.mark.parametrize(("fed", "free"), [(1, 2), (2, 1)])
+def test_a_part_of_a_resized_array_is_fed(tmp_path, fed, free):
+    """The start values of the FMU are of another size; a wire feeds one element, --set gives the other."""
+    other = bank_fmu(tmp_path / "bank.fmu", {'start="0" unit': 'start="0 0 0" unit'})
+    pair = assemble({"a": other, "b": other}, [f"a.y[1] -> b.u[{fed}]"], {"b.n": 2, "b.k": "1 1"})
+    result = run(pair, set={"b.m": "1 0 0 1", "a.u": "1 0 0", f"b.u[{free}]": 5.0}, step=STEP, stop=STOP)
+    exact = states(result.time, [1.0], 5.0)[:, 0]
+    np.testing.assert_allclose(result[f"b.y[{free}]"], exact, atol=10 * ROUNDING)
+    assert result[f"b.y[{fed}]"][-1] > 0.1
+
+
 def test_whole_arrays_are_wired(bank):
     """Equal shapes element by element; sizes before and after the wires; lines for others."""
     files = {"a": bank, "b": bank}
@@ -82,6 +124,8 @@ def test_whole_arrays_are_wired(bank):
     sized = {"b.n": 2, "b.k": "1 1", "b.m": "1 0 0 1"}
     pair = assemble(files, ["a.y -> b.u"], start=sized)
     assert [str(c) for c in pair.connections] == ["a.y[1] -> b.u[1]", "a.y[2] -> b.u[2]"]
+    part = assemble(files, ["a.y[2] -> b.u[1]"]).with_start({"b.n": 1, "b.k": "1", "b.m": "1 1"})
+    assert [str(c) for c in part.connections] == ["a.y[2] -> b.u[1]"]
     chain = assemble({"a": bank}, inputs={"w": ["a.u[3]"]}).with_start({"a.n": 2, "a.k": "1 1"})
     assert not chain.inputs
     told = problem(lambda: pair.with_start({"b.n": 1}))
@@ -115,18 +159,31 @@ def test_mistakes_with_arrays_are_told(bank, given, message):
     assert message in problem(lambda: run(str(bank), set=given, step=STEP, stop=STOP, isolate=False))
 
 
-def test_start_values_must_fit(bank, tmp_path):
-    """As many as elements, or one for all; the line names the file."""
-    with zipfile.ZipFile(bank) as archive:
-        text = archive.read("modelDescription.xml").decode()
-        parts = {name: archive.read(name) for name in archive.namelist()}
-    for start, message in (('"1 2"', "k: expected 3 start values, got 2"), ('"2"', "")):
-        changed = {**parts, "modelDescription.xml": text.replace('start="1 2 3"', f"start={start}")}
-        file = packed(tmp_path / "bank.fmu", changed)
-        if message:
-            assert message in problem(lambda file=file: load(file))
-        else:
-            assert load(file).components["bank"].value("k[3]") == 2.0
+def test_declarations_must_fit(tmp_path):
+    """As many start values as elements, or one for all; no negative size; the line names the file."""
+    one = bank_fmu(tmp_path / "bank.fmu", {'start="1 2 3"': 'start="2"'})
+    assert load(one).components["bank"].value("k[3]") == 2.0
+    for change, message in (
+        ({'start="1 2 3"': 'start="1 2"'}, "k: expected 3 start values, got 2"),
+        ({'<Dimension start="3"/>': '<Dimension start="-3"/>'}, "expected dimensions of 0 or more, got (-3)"),
+    ):
+        file = bank_fmu(tmp_path / "bank.fmu", change)
+        assert message in problem(lambda file=file: load(file))
+
+
+LARGE = ('initial="exact" start="0"', 'derivative="4"')  # ends of the declarations of x and its derivative
+
+
+def test_a_large_state_is_left_out_at_once(tmp_path):
+    """No names of elements are made, which would take a minute and gigabytes."""
+    large = {f'{of}><Dimension valueReference="1"/>': f'{of}><Dimension start="9000000"/>' for of in LARGE}
+    file = bank_fmu(tmp_path / "bank.fmu", large)
+    tracemalloc.start()
+    interface = load(file).components["bank"].interface
+    assert tracemalloc.get_traced_memory()[1] < 2**24  # bytes; a name for each element takes 60 times as many
+    tracemalloc.stop()
+    assert [*interface.unsupported] == ["x", "der(x)"]
+    assert not interface.states
 
 
 def test_elements_are_linearised(bank):

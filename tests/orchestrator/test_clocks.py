@@ -3,6 +3,7 @@
 The FMU of ticks.c refuses an access to a variable whose clock does not tick.
 """
 
+import csv
 from fractions import Fraction
 
 import numpy as np
@@ -11,7 +12,10 @@ from kit.any_fmu.models import bank_fmu, ticking_fmu
 from kit.mistakes import problem
 from zoo.faulty import faulty
 
-from orchestrator import Coupling, RunFailed, assemble, load, run
+from orchestrator import Coupling, Master, RunFailed, assemble, load, run, write_ssp
+from orchestrator.engine.network import Texts
+from orchestrator.engine.result import Card, Event, write_events
+from orchestrator.ssp.system import Port
 
 DECIMAL = 'intervalVariability="constant" intervalDecimal="{}"'
 TENTH = DECIMAL.format("0.1")
@@ -56,6 +60,20 @@ def test_many_ticks_do_not_drift(unit):
     assert result.card.steps == 3000
 
 
+def sending(components, time, length):
+    """A textbook master: each component steps, then sends its outputs."""
+    for name, component in components.items():
+        component.step(time, length)
+        components.send(name)
+
+
+def test_a_master_of_ones_own_leaves_clocked_wires_alone(unit):
+    """The engine carries them at ticks: b sums what a sums, of ones, 1 + 2 + ... + k."""
+    pair = assemble({"a": unit(), "b": unit(name="b")}, ["a.y -> b.u"], {"a.u": 1.0})
+    result = run(pair, step=0.05, stop=0.5, master=Master("mine", step=sending), isolate=False)
+    assert result["b.y"][::2].tolist() == [k * (k + 1) / 2 for k in range(1, 7)]
+
+
 @pytest.mark.parametrize("master", MASTERS, ids=lambda c: c.method.name)
 @pytest.mark.parametrize("able", ["true", "false"])
 def test_a_sampled_controller(unit, once, master, able):
@@ -88,6 +106,47 @@ def test_intervals_that_change(unit):
     np.testing.assert_allclose(ticks(asked, "unit.tick"), [0.25, 0.5], atol=ROUNDING)
 
 
+COUNT = 'name="count" valueReference="10" causality="output" clocks="1"'
+
+
+def test_variables_of_an_output_clock_need_no_wire(unit):
+    """`count` belongs to `fired`, which ticks at every second tick: read there, held in between."""
+    alone = unit(**{COUNT: COUNT.replace('clocks="1"', 'clocks="2"')})
+    result = run(str(alone), step=0.05, stop=0.5, set={"unit.every": 2})
+    assert result["unit.count"].tolist() == [0, 0, 2, 2, 2, 2, 4, 4, 4, 4, 6]
+
+
+Y = 'name="y" valueReference="21" causality="output" variability="discrete" clocks="1"'
+TEXT = 'name="text" valueReference="30" causality="output" clocks="2"'
+OUTPUTS = '<Output valueReference="10" dependencies=""/>'
+
+
+def test_values_before_the_first_tick(unit, once):
+    """Those of the start, also where wires lead; a local variable is read, too."""
+    lag = once("bank", lambda folder: bank_fmu(folder / "bank.fmu")) / "bank.fmu"
+    local = {COUNT: COUNT.replace("output", "local"), OUTPUTS: "", Y: f'{Y} initial="exact" start="7"'}
+    late = unit(DECIMAL.format("0.1") + ' shiftDecimal="0.35"', **local)
+    pair = assemble({"late": late, "lag": lag}, ["late.y -> lag.u[1]"], {"late.u": 2.0})
+    names = ["late.y", "late.u", "late.count", "lag.u[1]"]
+    result = run(pair, step=0.05, stop=0.5, record=names)
+    assert result["late.y"].tolist() == result["lag.u[1]"].tolist() == [7.0] * 7 + [2.0, 2.0, 4.0, 4.0]
+    assert result["late.u"].tolist() == [2.0] * 11
+    assert result["late.count"].tolist() == [0] * 7 + [1, 1, 2, 2]
+
+
+@pytest.mark.parametrize("start", ["first", ""])
+def test_a_text_of_a_clock_at_an_input_without_one(unit, start):
+    """The latest text, from the one of the start on."""
+    with_start = {f"<String {TEXT}/>": f'<String {TEXT} initial="exact"><Start value="{start}"/></String>'}
+    files = {"a": unit(**(with_start if start else {})), "b": unit(DECIMAL.format("9"), "b")}
+    result = run(assemble(files, ["a.text -> b.note"], {"a.every": 3}), step=0.05, stop=1.0)
+    assert result["b.noted"].tolist() == [len(start)] * 4 + [2] * 17  # n3 at 0.2 s, n6, n9
+    assert [text for _, name, text in result.texts if name == "a.text"] == [
+        *([start] if start else []),
+        *("n3", "n6", "n9"),
+    ]
+
+
 CHAIN = [
     "a.fired -> b.come",
     "a.text -> b.word",
@@ -116,7 +175,46 @@ def test_texts_go_with_their_clocks(unit, tmp_path):
     result.write(tmp_path / "run.csv")
     lines = (tmp_path / "run.texts.csv").read_text().splitlines()
     assert lines[0] == "time,signal,text"
-    assert lines[3].endswith(',a.text,"n3"')  # after those of c, which fires at the start
+    assert lines[3].endswith(",a.text,n3")  # after those of c, which fires at the start
+
+
+def test_variables_of_an_output_clock_are_read(unit):
+    """Also if it feeds no other clock: every second count, held in between."""
+    of_fired = {'"10" causality="output" clocks="1"': '"10" causality="output" clocks="2"'}
+    result = run(str(unit(**of_fired)), step=0.05, stop=0.5, set={"unit.every": 2})
+    assert result["unit.count"].tolist() == [0, 0, 2, 2, 2, 2, 4, 4, 4, 4, 6]
+    assert [text for *_, text in result.texts] == [v for k in (2, 4, 6) for v in (f"n{k}", f"000{k}")]
+
+
+def test_a_step_that_is_repeated_changes_no_text(unit):
+    """Its changes are forgotten, and an output has the value before them, or none."""
+    wires = ["a.text -> b.word", "a.frame -> b.data", "b.text -> a.word", "b.frame -> a.data"]
+    texts = Texts(assemble({"a": unit(), "b": unit(name="b")}, wires), {})
+    for k, name in enumerate(["text", "text", "frame", "text"]):
+        texts.store(Port("a", name), f"{k}", 0.1 * k)
+    texts.withdraw(0.0)
+    assert (texts.last, texts.changes) == ({Port("a", "text"): "0"}, [(0.0, "a.text", "0")])
+
+
+def test_names_and_texts_of_all_letters_are_in_the_files(tmp_path):
+    """Commas, quotes and line ends, as readers of CSV take them."""
+    cause, text = "a.y[1,2]", 'a"b,\n1'
+    card = Card(master="x", step=0.1, events=(Event(0.1, (cause,)),), texts=((0.1, cause, text),))
+    write_events(card, tmp_path / "x.csv")
+    for kind, row in (("events", ["0.1", cause]), ("texts", ["0.1", cause, text])):
+        with (tmp_path / f"x.{kind}.csv").open(newline="") as file:
+            assert [*csv.reader(file)][1] == row
+
+
+def test_clocks_in_a_file(unit, tmp_path):
+    """Their wires and start values of binaries are refused in a line; without these the file is read."""
+    told = problem(lambda: write_ssp(chain(unit), tmp_path / "chain.ssp"))
+    assert told == "system: a.fired: expected a number or a text in a file, got a Clock"
+    alone = load(unit())
+    told = problem(lambda: write_ssp(alone.with_start({"unit.data": "00ff"}), tmp_path / "start.ssp"))
+    assert told == "unit: unit.data: expected a number or a text in a file, got a Binary"
+    again = run(load(write_ssp(alone, tmp_path / "alone.ssp")), step=0.05, stop=0.5)
+    assert again["unit.count"][-1] == 6
 
 
 def test_ticks_of_a_run_in_parts(unit, tmp_path):

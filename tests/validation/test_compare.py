@@ -271,7 +271,7 @@ def test_constant_outputs_are_judged_by_their_magnitude():
 def test_the_title_and_the_signals_compared():
     """A co-simulation is told where an FMU has no Model Exchange; signals that the run lacks are left out."""
     titles = [monolithic_recording(solved(master=m, x=1.0), SHIPPED).heading for m in (SOLVER, "hermite")]
-    assert titles == ["Monolithic solution of the FMUs", "Co-simulation with a small error"]
+    assert titles == ["Monolithic solution of the FMUs", "Co-simulation with a small step"]
     truth = solved("other", x=1.0, state=2.0)
     run = truth.trace.select(["other.x"])
     assert [row.signal for row in validate(run, truth).rows] == ["other.x"]

@@ -60,10 +60,11 @@ def report(page: Content) -> Report:
     worst = (
         Figure(figure, title, caption, f"Worst fit: {title}") for title, figure, caption in page["worst"]
     )
+    outside = [found.doubt() for found in (page["prediction"] or {}).get("extrapolated", ())]
     parts: list[Part] = [
         Text([*_predicted(page["prediction"])], only=TERMINAL),
         Text([found.verdict] if found else [], only=TERMINAL),
-        Text([f"warning: {doubt}" for doubt in doubts], only=TERMINAL),
+        Text([f"warning: {doubt}" for doubt in (*doubts, *outside)], only=TERMINAL),
         Columns([_table(sorted(page["parameters"], key=lambda p: not p["doubt"]), PARAMETERS), *worst]),
         *_sections(page),
     ]

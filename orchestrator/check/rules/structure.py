@@ -67,9 +67,12 @@ def structure_initial(subject: Subject) -> Iterator[Finding]:
 
 
 def structure_derivatives(subject: Subject) -> Iterator[Finding]:
-    """The listed derivatives are derivatives of states."""
+    """The listed derivatives are derivatives of states, others of variables that exist."""
     model = subject.model
     finding = note if _ignores_derivatives(model) else error
+    for v in model.variables:
+        if (key := v.attributes.get("derivative")) is not None and model.state_of(v) is None:
+            yield finding(f"{v}: derivative={key!r} is not a variable")
     for unknown in model.structure.get("derivatives", ()):
         variable = unknown.variable
         if variable is None:
@@ -77,11 +80,9 @@ def structure_derivatives(subject: Subject) -> Iterator[Finding]:
         key, state = variable.attributes.get("derivative"), model.state_of(variable)
         if key is None:
             yield finding(f"{unknown}: the variable has no attribute derivative")
-        elif state is None:
-            yield finding(f"{variable}: derivative={key!r} is not a variable")
-        elif not state.is_continuous:
+        elif state and not state.is_continuous:
             yield finding(f"{variable}: is the derivative of {state.name}, which is not continuous")
-        elif state.causality not in ("local", "output"):
+        elif state and state.causality not in ("local", "output"):
             text = f"its state {state.name} is {state.causality}, expected local or output"
             yield finding(f"{variable}: {text}")
 

@@ -527,6 +527,7 @@ EXPORT Real polynomial_slope(const Real c[], Real s);
 void scenario_evaluate(Scenario *, Real t);
 void scenario_set_continuous(Scenario *, Real t, Real *values);
 int scenario_set_inputs(Simulation *, Real t);
+int scenario_differs(Simulation *);
 Mask scenario_jumps(Scenario *, Real t, Mask);
 
 /* communication_step.c */
@@ -569,6 +570,7 @@ EXPORT int32_t step_size_accepts(StepSize *, double error, double h);
 int exchange_after_reads(Simulation *, Real t);
 EXPORT int32_t simulation_exchange(Simulation *, Real t);
 EXPORT int32_t simulation_begin(Simulation *);
+EXPORT int32_t simulation_resume(Simulation *);
 EXPORT int32_t simulation_advance(Simulation *);
 EXPORT int32_t simulation_close(Simulation *);
 

@@ -83,10 +83,9 @@ void scenario_set_continuous(Scenario *d, Real t, Real *values) {
     }
 }
 
-/* Sets all driven inputs at t [s]; those that are not continuous have the value of the last sample. */
-int scenario_set_inputs(Simulation *sim, Real t) {
+/* Computes the values of all driven inputs at t [s]; those that are not continuous have that of the last sample. */
+static void compute_inputs(Simulation *sim, Real t) {
     Scenario *d = sim->scenario;
-    if (!d) return CONTINUE;
     scenario_set_continuous(d, t, sim->reals);
     const double at = machine(t, 0);
     const int64_t k = interval(d, 0, at);
@@ -103,5 +102,23 @@ int scenario_set_inputs(Simulation *sim, Real t) {
     }
     for (int32_t i = 0; d->table && i < d->table->count; i++)
         if ((int64_t)rint(base[d->table->source[i]]) == d->table->from[i]) sim->integers[d->table->target[i]] = d->table->to[i];
-    return execute(sim, &d->input_writes);
 }
+
+/* Sets all driven inputs at t [s]. */
+int scenario_set_inputs(Simulation *sim, Real t) {
+    if (!sim->scenario) return CONTINUE;
+    compute_inputs(sim, t);
+    return execute(sim, &sim->scenario->input_writes);
+}
+
+#if WIDTH == 1
+/* In a run that goes on from a saved one: have inputs of its scenario other values now than the saved ones? */
+int scenario_differs(Simulation *sim) {
+    if (!sim->scenario) return 0;
+    sim->scenario->since = sim->t, sim->scenario->evaluated_at = NAN;
+    values_save(sim);
+    compute_inputs(sim, sim->t);
+    return memcmp(sim->reals, sim->saved_reals, (size_t)sim->real_count * sizeof *sim->reals)
+        || memcmp(sim->integers, sim->saved_integers, (size_t)sim->integer_count * sizeof *sim->integers);
+}
+#endif

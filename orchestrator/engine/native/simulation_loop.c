@@ -332,6 +332,13 @@ int32_t simulation_begin(Simulation *sim) {
 }
 
 #if WIDTH == 1
+/* Goes on from a saved state; where another scenario has other values there, its inputs jump. */
+int32_t simulation_resume(Simulation *sim) {
+    if (!scenario_differs(sim)) return CONTINUE;
+    const int verdict = jump(sim, EVERY_MACHINE);
+    return !verdict && event_due(sim) ? go_through_events(sim) : verdict;
+}
+
 /* Does Python have to collect estimated errors before the next step, which may add two rows of them? */
 static int errors_are_full(const ErrorPropagation *p) { return p && p->filled + 2 > p->capacity; }
 

@@ -216,7 +216,8 @@ def draw(study: ConvergenceStudy, group: str | None = None, over_cost: bool = Fa
         for k, (step, colour) in enumerate(crosses):  # above the curves, side by side
             shift = 1.03 ** (k % 5 - 2)
             axes.plot([step * shift], [high], color=colour, marker="x", markersize=6, linestyle="")
-        _draw_slopes(axes, study.steps, low)
+        if study.steps:  # none, if all settings are adaptive
+            _draw_slopes(axes, study.steps, low)
         axes.set_xticks([1e3 * step for step in study.steps], [f"{1e3 * step:g}" for step in study.steps])
     else:
         axes.xaxis.set_major_formatter("{x:g}")

@@ -466,7 +466,8 @@ def convergence(
 def read_steps(text: str) -> list[float]:
     """Steps [s] from a list with commas, the smallest first."""
     steps = [seconds(item, f"steps {text}") or 0.0 for item in items(text)]
-    if wrong := next((step for step in steps if not (step > 0 and isfinite(step))), None):
+    wrong = next((step for step in steps if not (step > 0 and isfinite(step))), None)
+    if wrong is not None:
         raise Problem(f"steps {text}: expected positive times, got {wrong:g}")
     if not steps:
         raise Problem("steps: expected at least one, got none")

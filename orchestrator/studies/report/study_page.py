@@ -5,7 +5,7 @@ The page is one file that needs no network. The JSON file contains the same valu
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from orchestrator.results.report import TERMINAL, Columns, Facts, Figure, Part, 
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import output_description, sentences, size
 from orchestrator.studies.analysis.output_samples import counts, done
-from orchestrator.studies.analysis.results import HEAD, Analysis, Effect, OutputAnalysis, Sensitivity
+from orchestrator.studies.analysis.results import HEAD, Analysis, Effect, Failure, OutputAnalysis, Sensitivity
 from orchestrator.studies.report.study_figures import (
     MOST_BARS,
     bands,
@@ -71,7 +71,7 @@ def study_report(results: Results, analysis: Analysis) -> Report:
     known.pop("folder")  # the location of the study is not a result
     single = {n: v for n, v in known.items() if v not in ("", None) and not isinstance(v, list | dict)}
     parts: list[Part] = [
-        Text([counts(results), *_causes(analysis)], only=TERMINAL),
+        Text([counts(results), *causes(analysis.failures)], only=TERMINAL),
         Text(answers[1:]),
         Table(_outputs(analysis)),
         Text([f"warning: {w}" for w in results.warnings], only=TERMINAL),
@@ -87,9 +87,9 @@ def study_report(results: Results, analysis: Analysis) -> Report:
     return Report(analysis.title, answers[0] if answers else "", parts, data, lead=lead)
 
 
-def _causes(analysis: Analysis) -> list[str]:
+def causes(failures: Sequence[Failure]) -> list[str]:
     """The most frequent reasons of failed runs, for a terminal."""
-    shown, more = analysis.failures[:REASONS], len(analysis.failures) - REASONS
+    shown, more = failures[:REASONS], len(failures) - REASONS
     lines = [f"{f.count} of them{', such as' if f.various else ''}: {f.reason}" for f in shown]
     return [*lines, *([f"... and for {more} other reasons"] if more > 0 else [])]
 

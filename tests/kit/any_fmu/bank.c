@@ -3,7 +3,8 @@
  *     x' = -k x + u     y = M x     echo = code     z = x - 1e9, the event indicators
  *
  * n is a structural parameter; k, u, x have the shape (n), M has (2, n). Co-Simulation steps exactly for constant u.
- * Its state can be saved and serialised. A function refuses another number of values than that of its arrays.
+ * Its state can be saved and serialised. A function refuses another number of values than that of its arrays, and reading
+ * one before the initialisation mode, which keeps u at its beginning as `begin`.
  */
 #include <math.h>
 #include <stdlib.h>
@@ -11,12 +12,12 @@
 
 #include "fmi3Functions.h"
 
-enum { TIME, N, K, U, X, RATE, M, Y, CODE, ECHO, Z, MOST = 8 };
+enum { TIME, N, K, U, X, RATE, M, Y, CODE, ECHO, Z, BEGIN, MOST = 8 };
 typedef struct {
     double time, v[12][2 * MOST];
     int code[3];
     size_t n;
-    int configuring;
+    int configuring, readable;
 } Bank;
 
 static size_t size(const Bank *b, unsigned reference) {
@@ -52,7 +53,9 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean b, size_t n, const fm
     return (void)c, (void)b, (void)n, (void)s, fmi3OK;
 }
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float64 b, fmi3Float64 t, fmi3Boolean d, fmi3Float64 e) {
-    return (void)a, (void)b, (void)d, (void)e, ((Bank *)c)->time = t, fmi3OK;
+    Bank *k = c;
+    memcpy(k->v[BEGIN], k->v[U], sizeof k->v[U]);
+    return (void)a, (void)b, (void)d, (void)e, k->time = t, k->readable = 1, fmi3OK;
 }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return (void)c, fmi3OK; }
 fmi3Status fmi3EnterConfigurationMode(fmi3Instance c) { return ((Bank *)c)->configuring++ ? fmi3Error : fmi3OK; }
@@ -72,7 +75,7 @@ static fmi3Status move(Bank *b, const fmi3ValueReference r[], size_t m, double *
 }
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t m, fmi3Float64 y[], size_t n) {
     calculate(c);
-    return move(c, r, m, y, NULL, n);
+    return ((Bank *)c)->readable ? move(c, r, m, y, NULL, n) : fmi3Error;
 }
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t m, const fmi3Float64 y[], size_t n) {
     return move(c, r, m, NULL, y, n);

@@ -171,10 +171,12 @@ def oscillation(time: NDArray[np.float64]) -> NDArray[np.float64]:
     return (np.sin(np.outer(time, frequencies)) / frequencies * speeds) @ modes.T
 
 
-def bank_fmu(file: Path) -> Path:
-    """The FMU of bank.c, whose variables are arrays."""
+def bank_fmu(file: Path, changes: Mapping[str, str] | None = None) -> Path:
+    """The FMU of bank.c, whose variables are arrays; changes: of its description, old -> new text."""
     source = Path(__file__).with_name("bank.c")
     text = source.with_suffix(".xml").read_text("utf-8")
+    for old, new in (changes or {}).items():
+        text = text.replace(old, new)
     binary = library("bank", [source], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
     return packed(file, {"modelDescription.xml": text, member(3, "bank"): binary})
 

@@ -4,8 +4,10 @@
  *           one is `period` (1 + count mod 2) later, at most `most` ticks
  *   fired   output clock, at every `every`-th tick, and whenever `come` ticks if `passes`: text = "n<count>", frame = n
  *   come    triggered input clock: got := got + 1, heard = length of the text `word` and last byte of the binary `data`
+ *   note    text without a clock: noted = its length
  *
- * A variable that is set or read while its clock does not tick, and a clock that ticks outside of event mode, is an error.
+ * A variable that is set or read while its clock does not tick, and a clock that ticks or is asked for its interval in step
+ * mode, is an error.
  */
 #include <math.h>
 #include <stdio.h>
@@ -14,11 +16,11 @@
 
 #include "fmi3Functions.h"
 
-enum { TICK = 1, FIRED, COME, COUNT = 10, GOT, HEARD, EVERY, PASSES, MOST, U = 20, Y, PERIOD, TEXT = 30, WORD, FRAME = 40, DATA };
+enum { TICK = 1, FIRED, COME, COUNT = 10, GOT, HEARD, EVERY, PASSES, MOST, NOTED, U = 20, Y, PERIOD, TEXT = 30, WORD, NOTE, FRAME = 40, DATA };
 typedef struct {
     int mode, ticks, comes, count, got, heard, every, passes, most, told; /* mode: 0 before steps, 1 step, 2 event */
     double u, s, period;
-    char text[20], word[200];
+    char text[20], word[200], note[200];
     fmi3Byte frame[2], data[200];
     size_t length;
 } Unit;
@@ -60,6 +62,7 @@ fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference r[], size_t n, 
 fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 t[], fmi3IntervalQualifier q[]) {
     Unit *m = c;
     (void)r, (void)n;
+    if (m->mode == 1) return fmi3Error;
     t[0] = m->period * (1 + m->count % 2);
     q[0] = m->told || m->count >= m->most ? fmi3IntervalUnchanged : fmi3IntervalChanged;
     return m->told = 1, fmi3OK;
@@ -75,9 +78,9 @@ fmi3Status fmi3GetInt32(fmi3Instance c, const fmi3ValueReference r[], size_t n, 
     Unit *m = c;
     (void)k;
     for (size_t i = 0; i < n; i++) {
-        if (!(r[i] == COUNT ? m->ticks : m->comes)) return fmi3Error;
+        if (!(r[i] == COUNT ? m->ticks : r[i] == NOTED || m->comes)) return fmi3Error;
         m->heard = (int)strlen(m->word) + (m->length ? m->data[m->length - 1] : 0);
-        y[i] = r[i] == COUNT ? m->count : r[i] == GOT ? m->got : m->heard;
+        y[i] = r[i] == COUNT ? m->count : r[i] == GOT ? m->got : r[i] == HEARD ? m->heard : (int)strlen(m->note);
     }
     return fmi3OK;
 }
@@ -108,15 +111,15 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
 }
 fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3String y[], size_t k) {
     Unit *m = c;
-    (void)r, (void)n, (void)k;
+    (void)n, (void)k;
     snprintf(m->text, sizeof m->text, "n%d", m->count);
-    return y[0] = m->text, fired(m) ? fmi3OK : fmi3Error;
+    return y[0] = r[0] == NOTE ? m->note : m->text, r[0] == NOTE || fired(m) ? fmi3OK : fmi3Error;
 }
 fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3String y[], size_t k) {
     Unit *m = c;
-    (void)r, (void)n, (void)k;
-    snprintf(m->word, sizeof m->word, "%s", y[0]);
-    return !m->mode || m->comes ? fmi3OK : fmi3Error;
+    (void)n, (void)k;
+    snprintf(r[0] == WORD ? m->word : m->note, sizeof m->word, "%s", y[0]);
+    return !m->mode || (r[0] == WORD ? m->comes : m->mode == 2) ? fmi3OK : fmi3Error;
 }
 fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t n, size_t sizes[], fmi3Binary y[], size_t k) {
     Unit *m = c;
