@@ -7,6 +7,7 @@ intermediate update unless these are requested. This module needs only the stand
 from __future__ import annotations
 
 import ctypes
+import gc
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -130,11 +131,9 @@ class BoundCall:
 
     def __call__(self) -> None:
         self.instance.check_open()
-        self.slot.function = self.number
+        collects = self.instance.begin_call(self.number)
         status = self._call()
-        self.slot.function = 0
-        if self.instance.after:
-            self.instance.after(self.instance)
+        self.instance.end_call(collects)
         if status:
             self.check_status(status)
 
@@ -193,20 +192,37 @@ class FmuInstance:
         if self._closed:
             raise Problem(f"{self.log.component}: expected an FMU that runs, got one that is closed")
 
+    def begin_call(self, function: int) -> bool:
+        """Before a call; True if garbage has to be collected again after it.
+
+        A collection runs code of other libraries, which a trap that the FMU has switched on would end.
+        """
+        collects = self.after is not None and gc.isenabled()
+        if collects:
+            gc.disable()
+        self.slot.function = function
+        return collects
+
+    def end_call(self, collects: bool) -> None:
+        """After a call."""
+        self.slot.function = 0
+        if self.after:
+            self.after(self)
+        if collects:
+            gc.enable()
+
     def _call(self, name: str, *arguments: Any, result: Any = ctypes.c_int) -> Any:
         self.check_open()
         function = self.library.function(name, result)
         if self.before:
             self.before(self.library.prefix + name, self.log.time)
-        self.slot.function = function_number(name)
+        collects = self.begin_call(function_number(name))
         try:
             return function(*arguments)
         except OSError as error:
             raise Crashed(f"{error} in {self.library.prefix}{name}") from None
         finally:
-            self.slot.function = 0
-            if self.after:
-                self.after(self)
+            self.end_call(collects)
 
     def status(self, function: str, *arguments: Any) -> int:
         """Call a function and return its status."""
@@ -354,11 +370,9 @@ class FmuInstance:
         """Advance from t to t + h [s] and return the status; `final`: no state before t will be restored."""
         self.log.begin_step(t, h)
         times = ctypes.c_double(t), ctypes.c_double(h)
-        self.slot.function = STEP
+        collects = self.begin_call(STEP)
         status = self._step(*times, self.flag(final), *self._results)
-        self.slot.function = 0
-        if self.after:
-            self.after(self)
+        self.end_call(collects)
         return status
 
     def step_end(self, status: int) -> StepEnd:
