@@ -108,15 +108,6 @@ def test_a_failed_start_leaves_nothing_open(each, tmp_path, monkeypatch, opened)
     assert len([*tmp_path.glob("fmu-*")]) == 1
 
 
-def test_instances_are_freed(each, started):
-    """A new instance finds no other one alive, and close may be called twice."""
-    for _ in range(3):
-        slave = started(each["types"])
-        assert slave.get("alive") == 1
-        slave.close()
-        slave.close()
-
-
 def test_a_missing_or_broken_binary_and_a_failed_start_are_told(each, opened, tmp_path):
     """Expected and found, with component and FMU; what the FMU says, with its printf arguments."""
     (folder := tmp_path / "binaries" / fmpy.platform).mkdir(parents=True)

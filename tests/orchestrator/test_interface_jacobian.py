@@ -160,14 +160,6 @@ def test_one_call_for_knowns_that_share_nothing(fmus, started, undeclared, calls
     np.testing.assert_array_equal(tangent.matrix(), [[0, 1, 0], [-110, 0, 100], [-100, 0, 100]])
 
 
-def test_undeclared_dependencies_cost_calls_only(fmus, open_oscillator):
-    """Without declared dependencies the same numbers."""
-    silent = oscillator_of(*(telling(fmus, m, f"{m}_quiet", undeclared=True) for m in ("mass_a", "mass_b")))
-    first, second = (follow(s, step=1e-2, stop=1.0).trace["b.x"] for s in (open_oscillator, silent))
-    # more columns, added up in another order: rounding
-    np.testing.assert_allclose(second, first, rtol=0, atol=1e-9)
-
-
 def test_an_algebraic_loop_is_part_of_the_linear_system(fmus):
     """Two masses with feed-through: a step that is a hundred times as long has the same accuracy."""
     units = {"force": {"depends": DEPENDS["force"], "unit": "m"}}

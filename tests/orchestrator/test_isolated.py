@@ -120,16 +120,6 @@ def test_rows_behind_a_lost_message_are_left_out(tmp_path, monkeypatch):
 
 
 @posix
-def test_a_crash_before_the_run_is_a_problem_without_a_result(tmp_path):
-    """Nothing has been recorded."""
-    crashing = faulty(tmp_path, "exit_0", "initialise")
-    told = r"^the process ended with exit status 0 in fmi2ExitInitializationMode"
-    with pytest.raises(Problem, match=told) as refusal:
-        run(crashing.fmu, **STEPS)
-    assert type(refusal.value) is Problem
-
-
-@posix
 def test_an_fmu_computes_in_its_own_rounding_mode(tmp_path):
     """Another one has the bits of a run without it; a warning, once, names the one that changed the mode."""
     good = faulty(tmp_path, name="good").fmu

@@ -281,12 +281,6 @@ def test_a_run_may_record_nothing(oscillator):
     assert (whole.record_step, thin.record_step) == (0.01, 0.1)
 
 
-def test_other_kinds_of_numbers_are_kept_too(fmus):
-    """Integers and Booleans have the same rows as Real signals."""
-    start = {"types.int_in": 3}
-    assert_kept([0, 3, 6, 9, 10], str(fmus["types"]), 0.3, step=0.1, stop=1.0, set=start)
-
-
 @pytest.mark.parametrize("record_step", [0.025, 0.005, 0.0, -0.01, math.nan, math.inf])
 def test_an_interval_that_is_no_multiple_is_refused(oscillator, record_step):
     """Between two steps there is nothing to record."""

@@ -122,13 +122,6 @@ def test_wrong_options_are_told(oscillator, options, message):
     assert problem(lambda: run(oscillator, isolate=False, **options)).startswith(message)
 
 
-def test_by_default_outputs_and_inputs_that_nothing_feeds_are_recorded(fmus):
-    """In this order; test_simulation_loop.py has signals that are chosen."""
-    trace = run(str(fmus["gain"]), step=0.5, stop=1.0, set={"u": 3.0}).trace
-    assert list(trace.signals) == ["gain.y", "gain.u"]
-    np.testing.assert_array_equal(trace["gain.u"], 3.0)
-
-
 def test_the_rate_input_of_a_driven_input_has_its_slope(each):
     """Just after each communication point; without it rate outputs that depend on it are wrong."""
     drift = str(each["drift"])

@@ -209,23 +209,6 @@ def test_a_missing_compiler_is_one_line(monkeypatch, oscillator, module, name, v
     assert reason in str(told.value)
 
 
-@pytest.mark.usefixtures("fresh")
-def test_the_library_is_compiled_once(monkeypatch):
-    """The next process of the same user loads it from the cache; without one it is for this process only."""
-    folder = compiler.cache_folder()
-    monkeypatch.setattr(compiler, "cache_folder", lambda: c_library.FOLDER / "engine.h" / "no folder")
-    c_library.library()
-    assert not folder.exists()
-    monkeypatch.setattr(compiler, "cache_folder", lambda: folder)
-    times = []
-    for _ in range(2):
-        c_library.library.cache_clear()
-        c_library.library()
-        (kept,) = (file for file in folder.iterdir() if file.suffix not in (".lock", ".sha256"))
-        times.append(kept.stat().st_mtime_ns)
-    assert times[0] == times[1]
-
-
 # ---- long runs, in a process of their own
 
 START = entry(__file__, "start")

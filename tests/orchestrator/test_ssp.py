@@ -223,13 +223,6 @@ def test_a_file_that_includes_itself_is_told(make, tmp_path, source, folder):
         load(tmp_path / folder if folder else path)
 
 
-def test_a_file_may_be_included_twice(make):
-    """Two inclusions of one file are not a recursion."""
-    parts = [INCLUDED.format("definition", "other.ssd").replace("again", name) for name in ("one", "two")]
-    inner = ssd(system([gain("a")], []))
-    assert list(load(make(system(parts, []), {"other.ssd": inner})).components) == ["one.a", "two.a"]
-
-
 @pytest.mark.parametrize("value", ['"<x/>"', '"text"', 'SYSTEM "file:///etc/hostname"'])
 @pytest.mark.parametrize("place", ["<ssd:Elements>", "<ssd:Connections>"])
 def test_an_entity_in_the_content_is_told(fmus, zip_ssp, value, place):

@@ -13,7 +13,6 @@ from pyssp_standard.ssd import SSD
 
 from orchestrator import Coupling, Trace, load, run
 from orchestrator.__main__ import main
-from orchestrator.data.trace import read_trace
 from orchestrator.engine.result import read_metadata
 
 PAIR = Path(__file__).with_name("pair.ssd").read_text(encoding="utf-8")  # two coupled masses
@@ -79,15 +78,6 @@ def test_the_command_line_changes_single_settings(make, tmp_path, expected, opti
     metadata = read_metadata(tmp_path / "o.csv")
     assert metadata.coupling == Coupling("hermite", guard=0, **expected).settings
     assert metadata.steps == (100 if "--master" in options else 10)
-
-
-def test_a_suggested_adaptive_run_records_every_step(make, tmp_path):
-    """Like one that is given on the command line."""
-    path = make(annotated(coupling('adaptive="1e-2" smallest="1e-6" largest="0.05"')))
-    assert main(["run", str(path), "--out", str(tmp_path / "o.csv")]) == 0
-    time = read_trace(tmp_path / "o.csv").time
-    assert time[-1] == 0.1
-    assert np.ptp(np.diff(time)) > 1e-3  # [s]: the steps are not equal
 
 
 def test_all_attributes_are_read(make):

@@ -332,24 +332,3 @@ def test_without_start_wires_the_machine_falls(system, fmu_dir):
     cut = system.without("boom_stick.boom_holding_force")
     options = {"swap": {"boom_stick": fmu_dir / "boom_stick.fmu"}, "parameters": ["still"], "stop": 0.3}
     assert speed(run(cut, set={"boom_stick.boom_holding_force": 0.0}, **options)) > 100 * STILL
-
-
-def test_an_actuator_may_lack_start_wires(system, fmu_dir, tmp_path):
-    """An FMU without inputs for the holding forces is accepted, and the note names both."""
-    ports = [f"{rod}_holding_force" for rod in ("boom", "stick")]
-    changes = [c for p in ports for c in (renamed(p, f"no_{p}"), caused(f"no_{p}", "local"))]
-    table = changed(fmu_dir / "boom_stick.fmu", tmp_path / "table.fmu", *changes)
-    result = run(system, swap={"boom_stick": table}, stop=0.1)
-    assert f"{table} has no {', '.join(ports)}: it does not use" in str(result.card.notes)
-
-
-def test_rates_may_be_missing_on_both_sides(system, fmu_dir, tmp_path):
-    """An actuator without rate ports: power connections are kept, and the machine stays at rest."""
-    rates = ["boom_force_rate", "stick_force_rate", "boom_acceleration", "stick_acceleration"]
-    changes = [renamed(rate, f"no_{rate}") for rate in rates]
-    plain = changed(fmu_dir / "boom_stick.fmu", tmp_path / "plain.fmu", *changes)
-    result = run(system, swap={"boom_stick": plain}, parameters=["still"], stop=0.3)
-    before, after = ({c.target.variable for c in s.connections} for s in (system, result.system))
-    assert before - after == set(rates)
-    assert speed(result) < STILL
-    assert any("plain.fmu has no" in note for note in result.card.notes)

@@ -149,15 +149,6 @@ def test_a_bare_name_means_every_input_of_that_name(fmus):
     problem(lambda: run(assemble(mixed), set={"u": 1.0}), told)
 
 
-def test_a_column_replaces_a_connection(oscillator):
-    """The driven input follows the column; the other connections stay; the card says so."""
-    held = Trace(np.array([0.0, 1.0]), {"a.x2": np.array([0.0, 2.0])})
-    result = run(oscillator, held, step=0.25)
-    np.testing.assert_array_equal(result.trace["a.x2"], [0.0, 0.5, 1.0, 1.5, 2.0])
-    np.testing.assert_array_equal(result.trace["b.force"], result.trace["a.force"])
-    assert "the scenario replaces b.x -> a.x2" in result.card.notes
-
-
 def test_a_column_silences_a_component_without_inputs(fmus):
     """Such a component is a scenario itself: its other targets keep their start values."""
     files = {"s": fmus["source"], "p": fmus["gain"], "q": fmus["gain"]}

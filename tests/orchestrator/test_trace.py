@@ -18,16 +18,6 @@ def trace():
     return Trace(np.arange(50) * 0.1, {"a.y": values, "b.x, odd": -values}, {"a.y": "Pa"})
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
-def test_numbers_survive_bit_for_bit(trace, tmp_path, suffix):
-    """What is read equals what was written, names and order included."""
-    back = read_trace(write_trace(trace, tmp_path / f"new/trace{suffix}"))
-    assert list(back.signals) == ["a.y", "b.x, odd"]
-    np.testing.assert_array_equal(back.time, trace.time)
-    np.testing.assert_array_equal(back["a.y"], trace["a.y"])
-    assert back.units == ({"a.y": "Pa"} if suffix != ".csv" else {})
-
-
 def test_the_text_of_a_number_is_the_shortest_one():
     """C writes what Python's repr does: any bits, both neighbours of powers of two and ten, ties, no numbers.
 
