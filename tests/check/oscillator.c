@@ -207,7 +207,6 @@ static int advance(Model *m, double t, double h, double *reached) {
         if (is("hang")) for (;;) usleep(1000);
         if (is("exit")) exit(3);
         if (is("signal")) raise(36);
-        if (is("starts") && !fork()) for (;;) sleep(1);
         if (is("eats"))
             for (;;) lost = memset(malloc(1 << 20), 1, 1 << 20);
         if (is("error")) return no(m, "no more");

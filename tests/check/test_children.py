@@ -14,43 +14,13 @@ from zoo.command import command
 
 from check.test_probes import apply, opened
 from orchestrator.check import probe_process
-from orchestrator.check.probe_process import ProbeLimits, probe_threads, use_probe_limits
+from orchestrator.check.probe_process import ProbeLimits, use_probe_limits
 from orchestrator.worker.calls import share_activity
 from orchestrator.worker.process import MAX_STDERR, LimitExceeded, Worker, WorkerLimits
 
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 bounded = pytest.mark.timeout(PATIENCE)  # a limit that is not enforced lets a test wait for ever
-
-
-def group(leader: int) -> list[str]:
-    """Processes of a group that run, as /proc has them."""
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            state, _, number = (folder / "stat").read_text().rpartition(")")[2].split()[:3]
-        except OSError:
-            continue
-        if int(number) == leader and state not in "ZX":
-            found.append(folder.name)
-    return found
-
-
-@linux
-def test_what_the_fmu_starts_ends_with_the_check(oscillators, tmp_path, monkeypatch):
-    """A process that the FMU has started does not outlive the child process, which is used again."""
-    started = []
-
-    class Noted(probe_process.Worker):
-        def __init__(self, *arguments, **options):
-            super().__init__(*arguments, **options)
-            started.append(self.pid)
-
-    monkeypatch.setattr(probe_process, "Worker", Noted)
-    with use_probe_limits(ProbeLimits(call_time=PATIENCE, work_time=2.0)), probe_threads(run=True):
-        apply(oscillators.make(fault="starts"), tmp_path, "default", "reset")
-    assert len(started) == 2
-    assert until(lambda: not any(group(pid) for pid in started))
 
 
 @linux

@@ -74,13 +74,6 @@ def test_ripple_parts_a_known_signal(measures):
     assert found.peak == pytest.approx(4, abs=0.05)
 
 
-def test_a_parabola_has_no_ripple(measures):
-    """The trend of a pose that changes is no ripple."""
-    time = np.arange(0.0, 2.0, 1e-3)
-    found = measures.ripple(time, 1e5 * (90 - 3 * time + 0.5 * time**2), 0.5, 1.5)
-    assert max(found.fast, found.slow) < 1e-9  # bar: rounding of 90 bar
-
-
 def test_modes_of_two_known_oscillators(measures):
     """Frequency, damping ratio and the states that move, also with damping."""
     matrix, kinds = np.zeros((4, 4)), {"slow": (0.5, 0.1), "fast": (30.0, 0.7)}

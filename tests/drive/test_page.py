@@ -351,12 +351,3 @@ def test_library_is_as_built() -> None:
     digest = hashlib.sha256((folder / "three.min.js").read_bytes()).hexdigest()
     assert digest in (folder / "entry.js").read_text(encoding="utf-8")
     assert '"three": "0.180.0"' in (folder / "package.json").read_text(encoding="utf-8")
-
-
-@shards.browser
-def test_report_has_the_machine(file: Callable[[str], Path]) -> None:
-    """The report of a validation contains the machine with its module."""
-    text = file("report").read_text(encoding="utf-8")
-    assert 'data-part="module"' in text
-    assert '"replay":' in part(text, "data")
-    assert "no machine in the report" not in text

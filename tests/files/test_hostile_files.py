@@ -19,11 +19,10 @@ from files.damage import ENTITIES
 from files.test_damaged_files import INNER, LONGEST, MAPPING, MOST, START, good_system, packed, peak
 from kit import shards
 from kit.any_fmu.models import Workshop
-from kit.mistakes import entry, problem, refused, table
+from kit.mistakes import entry, problem, table
 from lxml import etree
 
 from orchestrator import load, run
-from orchestrator.__main__ import main
 from orchestrator.base import files, toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import MAX_DIRECTORY, MAX_NESTING, Location, extract_member, size_fault
@@ -520,18 +519,3 @@ def test_200_000_variables_are_checked(tmp_path: Path) -> None:
     check(path)
     assert time.process_time() - start < 20 * LONGEST
     assert peak() - before < MOST
-
-
-def test_commands_refuse_in_one_line(
-    gain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """`run`, `--swap` and `list` end with status 2, `check` with findings."""
-    monkeypatch.chdir(tmp_path)
-    good, bad = system(tmp_path / "good.ssp", gain), fmu(tmp_path / "x.fmu")
-    with_member("../evil")(bad)
-    evil = fmu(tmp_path / "evil.fmu", (f'{CO}"lag"', f'{CO}"../../x/evil"'))
-    for command in (["run", bad], ["run", evil], ["run", good, "--swap", f"a={evil}"]):
-        line = refused(capsys, [*command, "--stop", "0.1"])
-        assert "x.fmu" in line or "evil.fmu" in line
-    assert main(["check", str(bad)]) != 0
-    assert "has '..' in its path" in capsys.readouterr().out

@@ -258,19 +258,6 @@ def test_a_single_fmu_runs_in_lanes(fmu_dir, name, output):
     assert not np.array_equal(*result[shown])
 
 
-def test_the_results_of_a_machine_do_not_depend_on_the_others(system):
-    """Bit for bit: alone, as the second of eleven, in another place, and on one core."""
-    masses = np.linspace(250.0, 900.0, 11)
-    name = "boom_stick.boom_head_pressure"
-    options = {"scenario": STROKES, "stop": 1.0, "record": [name], "lanes": True}
-    whole = batch(system, {MASS: masses}, **options)
-    turned = batch(system, {MASS: masses[::-1]}, workers=1, **options)
-    alone = batch(system, {MASS: masses[1:2]}, **options)
-    np.testing.assert_array_equal(whole[name][::-1], turned[name])
-    np.testing.assert_array_equal(whole[name][1:2], alone[name])
-    assert whole[name].shape == (11, len(whole.time))
-
-
 @pytest.mark.parametrize("lanes", [True, False])
 def test_a_machine_that_fails_does_not_stop_the_others(system, lanes):
     """Its signals end, the reason names the requirement, and the others run on."""

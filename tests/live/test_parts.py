@@ -295,13 +295,6 @@ def test_without_axes_and_without_signals(fmus):
     assert played(unseen, 3, lambda _: np.ones(1)).time[-1] == pytest.approx(0.03)
 
 
-def test_units_of_axes_and_signals(drift):
-    """As the FMUs declare them; what has none is not named."""
-    live = FrameStepper(replace(drift, signals=("drift.y", "drift.u_rate")))
-    live.close()
-    assert live.units == {"u": "m", "drift.u_rate": "m/s"}
-
-
 WRONG_SETUPS = {
     "axes: column 'w' is not an input of the system; inputs: u, u_rate": {"axes": (Axis("w", 1, 1),)},
     "unknown variable 'drift.z'; did you mean drift.y, drift.u, drift.u_rate?": {"signals": ("drift.z",)},
@@ -332,19 +325,6 @@ def test_an_input_takes_a_value_at_a_time(drift):
             moved.advance(np.array([0.0 if k < 4 else 1.0]))
             assert given.values == pytest.approx(moved.values, rel=1e-9)
         assert given.values[0] != 0
-
-
-def test_a_failing_fmu_tells_why_and_keeps_the_last_frame(failing):
-    """The values of the frame before stay, and closing works."""
-    live = FrameStepper(failing)
-    for _ in range(19):
-        live.advance(np.ones(1))
-    before = live.t, live.values.copy()
-    told = r"^fails: the step failed at t = 0\.195 s with status error; it says: .*broke"
-    problem(lambda: live.advance(np.ones(1)), told)
-    assert (live.t, live.values) == before
-    live.close()
-    live.close()
 
 
 def test_a_long_session_needs_no_more_memory(drift):

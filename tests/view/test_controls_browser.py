@@ -286,15 +286,6 @@ def test_typing(page: Any, address: str) -> None:
     assert page.evaluate(STAGE)
 
 
-def test_a_choice_keeps_the_focus(page: Any) -> None:
-    """Enter on a pattern chooses it, and the next key is still that button's."""
-    for name in ("SAE", "ISO"):
-        page.get_by_role("button", name=name).focus()
-        page.keyboard.press("Enter")
-        page.get_by_role("button", name=name, pressed=True).wait_for()
-        assert page.evaluate("document.activeElement.textContent") == name
-
-
 def test_skip_to_the_controls(chromium: Any, address: str) -> None:
     """By keyboard the first link leads to the sticks, and the next Tab to the button that takes them."""
     opened = open_page(chromium, address)

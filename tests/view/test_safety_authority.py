@@ -128,15 +128,6 @@ def test_patience_and_absence(desk: Desk) -> None:
     assert desk.status(station).role == "free"
 
 
-def test_lost_in_between(desk: Desk) -> None:
-    """Some messages that get lost do not stop the machine, as long as one comes within `timeout`."""
-    station = desk.driver()
-    for n in range(10, 100, 7):
-        desk.wait(0.15)
-        desk.say(station, n=n)
-        assert desk.machine.moving
-
-
 @pytest.mark.parametrize("halt", ["paused", "failed", "starting", "hanging"])
 @pytest.mark.parametrize("told", [False, True], ids=["by itself", "made to go on"])
 def test_machine_that_halts(desk: Desk, halt: str, told: bool) -> None:

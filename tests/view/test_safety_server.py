@@ -6,7 +6,6 @@ import os
 import socket
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
 
 import httpx
 import pytest
@@ -46,13 +45,6 @@ def page(server: Server) -> Iterator[tuple[ClientConnection, OperatorStation]]:
 
 def say(socket: ClientConnection, n: int, dead_man: bool = True, sticks: object = (-1, 0, 0, 0)) -> None:
     socket.send(json.dumps({"n": n, "sticks": sticks, "dead_man": dead_man}))
-
-
-def told(socket: ClientConnection) -> Any:
-    """The next state of the controls that the server sends."""
-    while "status" not in (message := json.loads(socket.recv(timeout=LONG))):
-        pass
-    return message["status"]
 
 
 def drive(server: Server, socket: ClientConnection, station: OperatorStation) -> None:
@@ -113,22 +105,6 @@ def test_dropped_messages(server: Server) -> None:
         server.silence(SILENCE_LIMIT)
         assert until(lambda: server.authority.status(station).role == "free")
         assert station.counts["accepted"] == 5
-
-
-def test_second_browser(server: Server) -> None:
-    """The second one moves nothing, is told who drives, and can take over when the first is gone."""
-    with page(server) as (second, other):
-        with page(server) as (first, station):
-            drive(server, first, station)
-            assert not server.authority.take(other)
-            say(second, 0, dead_man=False)
-            say(second, 1, sticks=(1, 1, 1, 1))
-            assert until(lambda: other.counts["accepted"] == 2)
-            assert until(lambda: told(second)["role"] == "watching")
-            assert server.machine.commands[-1]["swing.swing_command"] > 0
-        assert until(lambda: told(second)["role"] == "free")
-        assert not server.machine.moving
-        assert until(lambda: server.authority.take(other))
 
 
 def cut_cable(opened: ClientConnection) -> None:

@@ -23,7 +23,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.processes import machine_memory
 from orchestrator.worker import wire
 from orchestrator.worker.calls import share_activity
-from orchestrator.worker.process import CLOSED, GARBLED, Worker, WorkerLimits
+from orchestrator.worker.process import CLOSED, GARBLED, Worker
 from orchestrator.worker.wire import Garbled, packed, read_message
 
 CONTENTS = {"echo": Any, "said": str}
@@ -212,16 +212,6 @@ def test_memory_is_told(start):
     worker.put(0)
     worker.get(LONG)
     assert 1e6 < worker.memory < machine_memory()
-
-
-def test_much_that_is_written_to_stderr_is_thrown_away(start, monkeypatch):
-    """A disk is not filled by what nobody reads."""
-    monkeypatch.setattr("orchestrator.worker.process.MAX_STDERR", 5)
-    worker = start("end")
-    worker.put("stay")
-    worker.get(LONG)
-    worker.check_limits(WorkerLimits(), 0.0)
-    assert until(lambda: worker.last_stderr_line == "")
 
 
 def test_values_set_in_a_case_do_not_hide_it(tmp_path: Path) -> None:
