@@ -222,18 +222,6 @@ def test_only_code_that_this_installation_has_generated_runs_in_lanes(system, tm
         compiled_model(stops)
 
 
-def test_a_changed_fmu_runs_one_by_one(system, tmp_path):
-    """With a note, and the results of its library."""
-    source = system.components["swing"].source
-    content = {name: source.member(name).read() for name in source.names()}
-    content["sources/model.c.inc"] += b"#error this code must not be compiled\n"
-    write_zip(tmp_path / "swing.fmu", content)
-    other = with_swaps(system, {"swing": str(tmp_path / "swing.fmu")})
-    result = batch(other, {MASS: [300.0, 400.0]}, stop=0.01, record=["manipulator.boom_angle"])
-    assert result.status.tolist() == ["ok"] * 2
-    assert any("one by one: swing" in note and "this installation" in note for note in result.notes)
-
-
 def test_the_fmus_of_fmi_3_run_in_lanes(fmi3_dir):
     """The sources of both versions are the same, and so are the results."""
     system = load(fmi3_dir / "harvester.ssp")
@@ -387,12 +375,9 @@ def test_a_record_that_is_too_large_or_has_no_step_is_refused(system):
 
 
 def test_what_lanes_lack_is_told(system):
-    """One line; by default the machines then run one by one."""
+    """In one line."""
     with pytest.raises(NotInLanes, match="the master interface-jacobian"):
         batch(system, MASSES, stop=0.1, master="interface-jacobian", lanes=True)
-    options = {"master": "interface-jacobian", "record": ["manipulator.boom_angle"]}
-    result = batch(system, MASSES, stop=0.02, step=0.01, **options)
-    assert any("one by one: the master interface-jacobian" in note for note in result.notes)
 
 
 def test_the_documented_example_runs(fmu_dir, monkeypatch, capsys):

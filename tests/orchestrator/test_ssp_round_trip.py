@@ -72,7 +72,7 @@ def systems(draw, files) -> System:
     )
 
 
-@examples(50)
+@examples(20)
 @given(data=st.data(), version=st.sampled_from(("1.0", "2.0")))
 def test_a_system_is_read_as_it_was_written(gains, tmp_path_factory, data, version):
     """To the last digit: all numbers are written so that they read back."""

@@ -41,7 +41,7 @@ factors = st.one_of(
 LIMITS = ("minimum", "maximum")
 
 
-@examples(60)
+@examples(20)
 @given(factor=factors, seed=st.integers(0, 2**32 - 1), method=st.sampled_from(["latin", "sobol", "morris"]))
 def test_numbers_are_finite_and_within_their_bounds(factor, seed, method):
     """Of every method, also of those whose samples touch the ends of 0..1."""
@@ -54,7 +54,7 @@ def test_numbers_are_finite_and_within_their_bounds(factor, seed, method):
         assert (numbers <= high + least).all()
 
 
-@examples(60)
+@examples(20)
 @given(factor=factors, seed=st.integers(0, 2**32 - 1))
 def test_a_latin_hypercube_has_one_sample_in_each_share(factor, seed):
     """Each n-th of the distribution holds one of n samples, whatever the distribution."""
