@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit import shards
-from kit.any_fmu.outcome import in_python
 from kit.mistakes import table
 
 from fmus.machine.build import data
 from fmus.machine.parts import FERIC
-from orchestrator import RunFailed, System, load, run
+from orchestrator import RunFailed, System, run
 from orchestrator.data.recording import read_recording
 from orchestrator.results.validation import Validation, validate
 from orchestrator.ssp.coupling import Coupling
@@ -135,51 +133,6 @@ def test_adaptive_steps_keep_the_tolerance_over_the_whole_work_cycle(system, tol
 
 
 # ---- FMUs that C calls, and that Python calls
-
-COUPLINGS = [
-    *(Coupling(m, n) for m in ("jacobi", "gauss-seidel") for n in (0, 1, 2, 3)),
-    *(Coupling("hermite"), Coupling("hermite", passes=1)),
-    Coupling("interface-jacobian", factors={"swing": 2}),
-    Coupling("hermite", factors={"boom_stick": 2, "swing": 3}),
-]
-# each way to step once: orchestrator/test_simulation_loop.py has every master and order on small FMUs
-FEW = [COUPLINGS[3], *COUPLINGS[-2:]]
-# all joints move; commands have a corner, and 300 steps pass through the same code as a thousand
-MOVING = {"step": 1e-3, "start": 1.2, "stop": 1.5}
-
-
-def same(system: System, **options: object) -> None:
-    """Run with FMUs that C calls and that Python calls: all numbers are equal to the last bit."""
-    fast = run(system, **options)
-    slow = run(system, open=in_python, **options)
-    for name, values in slow.trace.signals.items():
-        np.testing.assert_array_equal(fast.trace[name], values, err_msg=name)
-    assert (fast.card.steps, fast.card.passes) == (slow.card.steps, slow.card.passes)
-    assert fast.card.bonds == slow.card.bonds
-
-
-@pytest.mark.parametrize(
-    "coupling",
-    [pytest.param(c, marks=[] if c in FEW else shards.search) for c in COUPLINGS],
-    ids=lambda c: c.text,
-)
-def test_both_ways_to_call_fmus_give_the_same_bits(system, coupling):
-    """Led by the scenario."""
-    same(system, scenario=data("scenarios/work_cycle.csv"), master=coupling, **MOVING)
-
-
-@pytest.mark.parametrize("coupling", FEW[::2], ids=lambda c: c.text)
-def test_both_ways_to_call_fmus_give_the_same_bits_with_fmi_3(fmi3_dir, coupling):
-    """Led by the levers, whose ramps have corners; inputs move at rate inputs."""
-    same(load(fmi3_dir / "harvester.ssp"), master=coupling, **MOVING)
-
-
-@pytest.mark.parametrize("folder", ["fmu_dir", "fmi3_dir"])
-def test_both_ways_to_call_fmus_take_the_same_adaptive_steps(request, folder):
-    """All of one length and one error, and the same ones are repeated."""
-    machine = load(request.getfixturevalue(folder) / "harvester.ssp")
-    coupling = Coupling("hermite", adaptive=1e-4)
-    same(machine, scenario=data("scenarios/work_cycle.csv"), master=coupling, stop=3.0)
 
 
 def test_outputs_exist_at_the_first_instant(system):
