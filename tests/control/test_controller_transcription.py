@@ -35,7 +35,7 @@ def drawn(rng: np.random.Generator, wide: float) -> tuple[dict, dict, dict]:
     return x, u, p
 
 
-@examples(300)
+@examples(100)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.01, 0.1, 1.0, 3.0]))
 def test_the_document_gives_the_controller(seed, wide):
     """Rates and outputs from the document are those of the subsystem, at any state, input and number."""
