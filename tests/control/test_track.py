@@ -37,15 +37,14 @@ def through(*given: str) -> list[str]:
 
 
 def test_error_is_the_distance_in_space_at_the_same_instant():
-    """Largest, RMS, last error and speed of a ride beside a straight path are those of the triangle 3-4-5."""
+    """Largest, RMS, last error and speed of a ride beside a straight path are those of the triangle 3-4-5.
+
+    Outwards, left and upwards are the parts of the distance; a late tip has the error speed times time.
+    """
     ride = made(0.01, shape=(1, 1, 1, 1, 3))
     assert ride.largest == pytest.approx(0.03, rel=1e-12, abs=0)  # exact but for rounding
     assert ride.rms == pytest.approx(0.01 * np.sqrt(13 / 5), rel=1e-12, abs=0)
     assert (ride.time_of_largest, ride.speed) == (4.0, 0.5)
-
-
-def test_errors_are_seen_from_the_column_and_at_the_same_instant():
-    """Outwards, left and upwards are the parts of the distance; a late tip has the error speed times time."""
     angle, away = np.linspace(-3, 3, 7), np.array([0.02, -0.01, 0.03])
     out, left = ((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle)))
     commanded = np.column_stack([4 * out[0], 4 * out[1], np.ones(7)])

@@ -137,9 +137,3 @@ def test_end_stops_of_a_joint_throw_it_back():
 def test_mistakes_of_friction_and_stops(keys, message):
     """One line each."""
     problem(lambda: crane(keys), message)
-
-
-def test_a_start_beyond_the_stop_is_refused():
-    """It would be thrown back at once."""
-    text = PENDULUM.format('stop = { at = "30 deg" }', '"31 deg"').encode()
-    problem(lambda: read(Path("x.toml"), text), "expected between the end stops of the joint")

@@ -143,12 +143,3 @@ def test_outputs_exist_at_the_first_instant(system):
         assert first[name][0] == pytest.approx(REFERENCE[name][0], rel=1e-8)
     force, holding = (first[n][0] for n in ("boom_stick.boom_force", "manipulator.boom_holding_force"))
     assert force == pytest.approx(holding, rel=1e-9)
-
-
-def test_supply_pressure_feeds_both_hydraulic_fmus(system):
-    """A bare name means every component input of that name, and the machine's inputs have such names."""
-    for name, targets in FERIC.inputs.items():
-        assert {str(port) for port, _ in system.targets(name)} == set(targets)
-    trace = run(system, set={"supply.pressure_setting": 15e6}, stop=0.01).trace
-    for name in FERIC.inputs["supply_pressure"]:
-        np.testing.assert_array_equal(trace[name], 15e6)
