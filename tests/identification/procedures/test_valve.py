@@ -22,7 +22,7 @@ def true_resistance(volts):
     return bench.DENSITY / (2 * bench.C_D**2 * area**2)
 
 
-@pytest.fixture(scope="module", params=[6, pytest.param(30, marks=shards.search)])
+@pytest.fixture(scope="module", params=[4, pytest.param(30, marks=shards.search)])
 def results(request):
     """The procedure over noise seeds: of few the four edges have independent noise, and own intervals.
 
