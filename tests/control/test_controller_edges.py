@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
-from kit.properties import examples
 from kit.steering import IDEAL, INPUTS, PART, STATES, measured, rates
 
 from fmus.controller.harvester import ARM
@@ -41,7 +40,6 @@ def resting(trace: Trace, within: float = 5e-3) -> None:
 # ---- any input
 
 
-@examples(200)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 12))
 def test_whatever_comes_in_the_rates_are_finite_and_commands_stay_within_the_valve(seed, size):
     """Inputs up to 1e12: every rate is finite, and a command at the end of its range does not go beyond."""
@@ -64,7 +62,7 @@ def test_an_angle_that_passes_dead_centres_does_not_stop_the_solver(axis):
     u = measured(0.3, -1.2) | {"boom_speed": 0.2, "engaged": 0.0}
     x, most = PART.start(u), 0.0
     x[STATES.index("stick_load")] *= 1.5
-    for q in np.arange(-np.pi, np.pi, 1e-3):
+    for q in np.arange(-np.pi, np.pi, 4e-3):
         x[STATES.index(f"reference_{axis}")] = q
         most = max(most, abs(rates(x, u | {f"{axis}_angle": q})[STATES.index(f"{axis}_load")]))
     # M a/lever: 1e9 to 1e11 N/s if the lever is not bounded; bounded, a tonne at the tip makes 8e5 N/s

@@ -2,7 +2,6 @@
 
 import math
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -15,7 +14,6 @@ from fmus.controller.arm import Cylindrical
 from fmus.controller.harvester import ARM
 from fmus.controller.paths import start_angles
 from fmus.parameters import parameters
-from fmus.smooth import s_curve
 
 P = parameters(CONTROLLER)
 STROKES = P.boom.stroke, P.stick.stroke
@@ -115,18 +113,6 @@ def test_the_reference_waits_for_a_machine_at_rest():
         x = x + 0.01 * rates(x, back)
     later = pistons(at(x, "reference_boom"), at(x, "reference_stick"))
     assert math.dist(later, pistons(0.2, -1.4)) < ahead
-
-
-def test_s_curve_goes_from_none_to_all_and_is_twice_differentiable():
-    """0, 1/2, 1, and flat outside; slope and curvature grow from zero at both ends, in a straight line."""
-    assert [float(s_curve(z)) for z in (-1, 0, 0.5, 1, 2)] == [0, 0, 0.5, 1, 1]
-    z = ca.SX.sym("z")
-    curve = s_curve(z)
-    slope = ca.gradient(curve, z)
-    ends = ca.Function("f", [z], [slope, ca.gradient(slope, z)])
-    for inside in (1e-6, 1 - 1e-6):
-        # the third derivative is 60 at the ends: slope 30 dz^2, curvature 60 dz, next terms 2 and 3 dz of it
-        assert [abs(float(v)) for v in ends(inside)] == pytest.approx([3e-11, 6e-5], rel=1e-4)
 
 
 # ---- the load

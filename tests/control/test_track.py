@@ -37,15 +37,14 @@ def through(*given: str) -> list[str]:
 
 
 def test_error_is_the_distance_in_space_at_the_same_instant():
-    """Largest, RMS, last error and speed of a ride beside a straight path are those of the triangle 3-4-5."""
+    """Largest, RMS, last error and speed of a ride beside a straight path are those of the triangle 3-4-5.
+
+    Outwards, left and upwards are the parts of the distance; a late tip has the error speed times time.
+    """
     ride = made(0.01, shape=(1, 1, 1, 1, 3))
     assert ride.largest == pytest.approx(0.03, rel=1e-12, abs=0)  # exact but for rounding
     assert ride.rms == pytest.approx(0.01 * np.sqrt(13 / 5), rel=1e-12, abs=0)
     assert (ride.time_of_largest, ride.speed) == (4.0, 0.5)
-
-
-def test_errors_are_seen_from_the_column_and_at_the_same_instant():
-    """Outwards, left and upwards are the parts of the distance; a late tip has the error speed times time."""
     angle, away = np.linspace(-3, 3, 7), np.array([0.02, -0.01, 0.03])
     out, left = ((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle)))
     commanded = np.column_stack([4 * out[0], 4 * out[1], np.ones(7)])
@@ -124,24 +123,21 @@ def test_an_angle_that_jumps_by_a_turn_is_the_same_path():
         assert unwrapped(turn, "a")["a"][1] == turned
 
 
-def test_a_missed_limit_is_reported(track, capsys):
-    """A limit that cannot be met gives status 1 and a line with path, limit and error."""
-    line = through("4,0,1", "4,0.5,1")
-    assert track(*line, *ALONE, "--speed", "0.3", "--limit", "0.01")[0] == 1
-    told = capsys.readouterr().out
-    assert "expected at most 0.01 mm, got " in told
-    assert "--speed" not in told  # it is reached
+def test_a_missed_limit_a_speed_not_reached_and_a_load_not_carried_are_told(track, capsys):
+    """A limit that cannot be met gives status 1 and a line with path, limit and error.
 
-
-def test_a_speed_not_reached_and_a_load_not_carried_are_told(track, capsys):
-    """On 1 m from rest to rest at 0.5 m/s2 no 20 m/s are reached; a pump that senses loads is at standby."""
-    status, told = track(*through("4,0,1", "4,1,1"), *ALONE, "--speed", "20")
-    assert status == 0
-    asked = told[0]["highest speed asked for [m/s]"]
-    assert f"note: --speed 20: the path is too short for more than {asked:.2g} m/s" in capsys.readouterr().out
-    assert track(*through("4,0,1", "4,0,2"), "--no-compare", "--swap=supply=load_sensing")[0] == 0
-    told = capsys.readouterr().out
-    assert ": the supply pressure does not carry the load, from" in told
+    On 1 m from rest to rest at 0.5 m/s2 no 20 m/s are reached; a pump that senses loads is at standby.
+    """
+    status, told = track(*through("4,0,1", "4,1,1"), *ALONE, "--speed", "20", "--limit", "0.01")
+    assert status == 1
+    asked, printed = told[0]["highest speed asked for [m/s]"], capsys.readouterr().out
+    assert "expected at most 0.01 mm, got " in printed
+    assert f"note: --speed 20: the path is too short for more than {asked:.2g} m/s" in printed
+    slow = ("--no-compare", "--swap=supply=load_sensing", "--speed", "0.3")
+    assert track(*through("4,0,1", "4,0,2"), *slow)[0] == 0
+    printed = capsys.readouterr().out
+    assert ": the supply pressure does not carry the load, from" in printed
+    assert "--speed" not in printed  # it is reached
 
 
 @table(__file__, "mistakes", "arguments, message")

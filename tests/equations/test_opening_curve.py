@@ -6,18 +6,14 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from fmpy.fmi1 import FMICallException
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.equations import VALVE
-from kit.fmu import driving
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from fmus.components import opening_curve, spool_valve
 from fmus.export.c_code import native_sources
 from fmus.export.c_functions import Routine, c_function
-from fmus.parameters import values
-from fmus.swing import SWING
 from orchestrator.base.compiler import SUFFIX, shared_library
 
 MEASURED = ((0.8, 0.0), (1.5, 0.012), (3.0, 0.06), (5.0, 0.19), (7.5, 0.55), (10.0, 1.0))
@@ -149,26 +145,3 @@ def test_points_in_disorder_are_refused(points, wrong):
     violated = [text for text, margin in margins.items() if not float(ca.DM(margin)) > 0]
     assert len(violated) == bool(wrong)
     assert all(text.startswith(f"valve_pa_{wrong}") for text in violated)
-
-
-def test_an_fmu_takes_a_table(fmu_dir, capsys):
-    """The edge P-A of the built FMU with a table passes the flow of its opening; a wrong table is refused."""
-    points = numbers_of("pa")
-    fmu, pressures, speed = fmu_dir / "swing.fmu", [], 0.8
-    for start in ({}, points):
-        with driving(fmu, swing_command=5.0, swing_speed=speed, **start) as driven:
-            driven.step(1e-3, 500)
-            pressures.append(driven.get("swing_pressure_a", "supply_flow"))
-    p = values(SWING).p
-    gain = p["valve_discharge_coefficient"] * p["valve_area"] * np.sqrt(2 / p["density"])
-    line = float(spool_valve.opening(5.0, 0.6, 10.0, 0.4))
-    for (pressure, flow), share in zip(pressures, (line, 0.19), strict=True):
-        # the leakage of the other edges, and the rounding of the turbulent law at small flows
-        assert flow == pytest.approx(gain * share * np.sqrt(20.684e6 - pressure), rel=2e-3)
-    with (
-        pytest.raises(FMICallException),
-        driving(fmu, swing_command=5.0, **{**points, "valve_pa_opening_3": 0.001}),
-    ):
-        pass
-    logged = capsys.readouterr()
-    assert 'valve_pa_openings do not descend, and begin with 0" is violated' in logged.out + logged.err

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from kit.equations import Part
-from kit.fmu import driving
 from kit.mistakes import entry, problem, table
 
 from fmus import boom_stick, swing
@@ -67,23 +66,6 @@ def test_a_measured_number_of_a_hose_replaces_the_derived_one(sub):
     np.testing.assert_allclose(rates(given.p), rates(free.p), rtol=1e-12)
     longer = {n: 1.3 * v if n.endswith("_length") else v for n, v in free.p.items()}
     assert not np.allclose(rates(longer), rates(free.p), rtol=1e-3)
-
-
-def test_an_fmu_derives_the_numbers_of_a_hose_at_run_time(fmu_dir):
-    """Another length set on the built FMU is the numbers that follow from it, set one by one."""
-    length, area = 3.9, math.pi / 4 * 0.01905**2
-    numbers = {"inertance": 970 * length / area, "capacitance": area * length / 1.6e9}
-    numbers["resistance"] = 3.2e10 * length / 4 * (20 / 8) ** 0.25
-    numbers["length"] = length  # for laminar friction
-    found = []
-    for given in ({}, {"length": length}, numbers):
-        start = {f"boom_hose_{name}": value for name, value in given.items()}
-        with driving(fmu_dir / "boom_stick.fmu", boom_command=4.0, **start) as fmu:
-            found.append(fmu.step(1e-3, 20).get("boom_head_pressure", "boom_head_flow", "boom_rod_pressure"))
-    usual, longer, measured = map(np.array, found)
-    # same numbers but for rounding, which the solver's choice of steps may show up to its tolerance of 1e-6
-    np.testing.assert_allclose(longer, measured, rtol=1e-6)
-    assert abs(longer / usual - 1).max() > 1e-3
 
 
 # as the notes of the parameters state them, to their last digit

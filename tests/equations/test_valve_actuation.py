@@ -7,7 +7,6 @@ from equations.transcription import ramp as r
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.equations import Part
-from kit.properties import examples
 
 from fmus.valve_actuation import ACTUATION, actuation
 
@@ -27,7 +26,6 @@ def written(u: float, z: float, t: float, p: dict[str, float]) -> float:
     return p["largest_rate"] * (share - r(share - 0.9, 0.2) + r(-share - 0.9, 0.2))
 
 
-@examples(100)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 1.0, 15.0]))
 def test_the_document_gives_the_actuation(seed, wide):
     """Rates of the states, and rate ports, at any command, state and number; 1e-9: rounding."""

@@ -256,13 +256,16 @@ def test_quantities_are_shown_in_customary_units(content, name):
 
 
 def test_numbers_travel_with_the_fmu(content):
-    """resources/parameters.toml contains the values of the FMU, even if the subsystem has no such file."""
+    """resources/parameters.toml has the values with their sources, even if the subsystem has no such file."""
     for (name, _), files in content.items():
         table = tomllib.loads(files["resources/parameters.toml"].decode())["parameters"]
-        names = quantities(SUBSYSTEMS[name].parameters)
+        names, known = quantities(SUBSYSTEMS[name].parameters), numbers(SUBSYSTEMS[name])["parameters"]
         listed = {n.rpartition("_")[0] + "s": n for n, q in names.items() if q.listed}
         assert set(table) == {n for n, q in names.items() if not q.listed} | set(listed)
         assert all(len(table[n]["value"]) == POINTS for n in listed)
+        for n in set(table) - set(listed):
+            told = {key: table[n][key] for key in ("value", "unit", "source", "note")}
+            assert told.items() <= vars(known[n]).items()
 
 
 @table(__file__, "numbers", "value, text")

@@ -10,7 +10,7 @@ from kit.mistakes import problem, table
 from fmus.contract import Quantity
 from fmus.export.build import build
 from fmus.export.c_functions import Routine, c_function, number
-from fmus.export.elimination import eliminate, nonzeros, pivot_order
+from fmus.export.elimination import eliminate, pivot_order
 from fmus.parameters import Values
 
 
@@ -81,15 +81,6 @@ def test_order_fills_nothing_in_where_that_is_possible():
     for i, j in np.argwhere(pattern):
         values[i, j] = ca.SX.sym("j")
     assert eliminate(values).lu.numel() == pattern.sum()
-
-
-def test_nonzeros_come_row_by_row():
-    """Each entry has its value."""
-    a, b, c = (ca.SX.sym(name) for name in "abc")
-    matrix = ca.SX(2, 2)
-    matrix[1, 0], matrix[0, 1], matrix[1, 1] = a, b, c
-    found = [(place, str(value)) for place, value in nonzeros(matrix).items()]
-    assert found == [((0, 1), "b"), ((1, 0), "a"), ((1, 1), "c")]
 
 
 def test_step_whose_system_is_singular_is_made_shorter(open_fmu):

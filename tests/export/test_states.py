@@ -58,16 +58,20 @@ def test_foreign_and_damaged_states_are_refused(open_fmu):
     decay.step(0.1)
 
 
-def test_failed_step_can_be_taken_back(open_fmu):
-    """After an error an instance can continue from a saved state."""
-    fmu = open_fmu("blowup").start()
-    saved = fmu.fmu.getFMUstate()
-    fmu.refuses(lambda: fmu.fmu.doStep(0.0, 2.0))
+@pytest.mark.parametrize("end", ["terminate", "reset", "failure"])
+def test_a_state_brings_an_ended_instance_back(open_fmu, end):
+    """After fmi2Terminate, fmi2Reset or a failed step a saved state continues where it was taken."""
+    fmu = open_fmu("blowup").start().step(0.1, 3)
+    saved, time = fmu.fmu.getFMUstate(), fmu.time
+    expected = fmu.step(0.1, 3)["size"]
+    if end == "failure":
+        fmu.refuses(lambda: fmu.fmu.doStep(fmu.time, 2.0))
+    else:
+        getattr(fmu.fmu, end)()
     fmu.fmu.setFMUstate(saved)
     fmu.fmu.freeFMUstate(saved)
-    fmu.fmu.doStep(0.0, 0.5)
-    # 1 / (1 - t); integrator error at tolerance 1e-6
-    assert fmu["size"] == pytest.approx(2.0, rel=1e-5)
+    fmu.time = time
+    assert fmu.step(0.1, 3)["size"] == expected
 
 
 def test_reset_starts_again(open_fmu):

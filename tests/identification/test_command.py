@@ -153,19 +153,6 @@ def test_a_failed_procedure_does_not_stop_the_others(recordings, here, capsys):
     assert "expected locked, got 'free'" in told
 
 
-@pytest.mark.usefixtures("undrawn")
-@table(__file__, "commands", "unit, told")
-def test_a_command_in_another_unit_is_no_valve(recordings, here, capsys, unit, told):
-    """Volts taken as mV, and mV as V: no area from it, exit status 1; the other benches are identified."""
-    here(recordings, "valve_pa", "motor")
-    edit(Path("mine/valve_pa.toml"), ('unit = "V"', f'unit = "{unit}"'))
-    assert main(["identify", "mine"]) == 1
-    printed = capsys.readouterr().out
-    assert told in printed
-    assert "warning: valve: mine/valve_pa.csv: command: expected a full command of about 10 V" in printed
-    assert "valve_area" not in found()
-
-
 @pytest.mark.parametrize(("p", "status"), [(1e-6, 3), (4e-3, 3), (6e-3, 0)])
 def test_a_named_fault_is_a_warning_with_its_own_status(recordings, here, capsys, monkeypatch, p, status):
     """Of two tests one may be at 0.5 % [Holm]; printed, on the page and in the JSON file, with its name."""

@@ -174,8 +174,9 @@ class Part:
         time: np.ndarray,
         inputs: Callable[[ca.SX], Mapping[str, ca.SX | float]] = lambda _: {},
         tolerance: float = 1e-9,
+        x: np.ndarray | None = None,
     ) -> dict[str, np.ndarray]:
-        """Outputs (n,) by name from the start on, with inputs that are functions of the time."""
+        """Outputs (n,) by name from the start, or from x on, with inputs that are functions of the time."""
         t, z = ca.SX.sym("t"), ca.SX.sym("z", len(self.states))
         nominal = self.nominal
         u, p = ca.vertcat(*(self.u | dict(inputs(t))).values()), list(self.p.values())
@@ -184,7 +185,8 @@ class Part:
         options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 1_000_000}
         ode = {"t": t, "x": z, "ode": rate}
         solver = ca.integrator("follow", "cvodes", ode, time[0], time[1:], options)
-        start = self.model.initial()(self._x, driven(time[0]), p) / nominal
+        usual = self.model.initial()(self._x, driven(time[0]), p)
+        start = (usual if x is None else ca.DM(x)) / nominal
         x = ca.horzcat(start, solver(x0=start)["xf"]) * nominal
         y = self.function.map(time.size)(x, driven.map(time.size)(time[None, :]), ca.DM(p))[1]
         return dict(zip(self.outputs, y.full(), strict=True))

@@ -4,7 +4,7 @@ from typing import Any
 
 from hypothesis import HealthCheck, settings
 
-USUAL = 100  # of Hypothesis
+USUAL = 40
 # how long an example takes is a matter of the computer and of what else it does
 ANY_COMPUTER: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 

@@ -144,11 +144,11 @@ def test_the_page_tells_how_much_the_elastic_hoses_help():
 # ---- in the machine
 
 
-def moved(stop, commands, pose="nominal", changed=None, rate=500, **given):
+def moved(stop, commands, pose="nominal", changed=None, rate=500, tolerance=1e-7, **given):
     """Outputs of the machine with these commands (times, values) by lever."""
     model = machine(boom_stick="compensated", swing="compensated")
     time, levers = corners(stop, commands, rate)
-    return played(model, time, given | levers, in_pose(model, pose, changed))
+    return played(model, time, given | levers, in_pose(model, pose, changed), tolerance)
 
 
 @pytest.mark.parametrize(("leakage", "command"), [(P["counterbalance_leakage"], 10.0), (1e-13, -10.0)])
@@ -156,7 +156,7 @@ def test_a_failed_supply_lets_the_boom_sink_by_the_leakage_stated(leakage, comma
     """Supply at the pressure of the tank, levers anywhere: the head loses G (P_C - P_V), nothing else."""
     levers = {f"{a}_command": ([0, 1, 1.2, 10], [0, 0, command, command]) for a in ("boom", "stick")}
     changed = {"boom_stick.counterbalance_leakage": leakage}
-    y = moved(10.0, levers, changed=changed, rate=100, supply_pressure=0.0)
+    y = moved(10.0, levers, changed=changed, rate=100, tolerance=1e-9, supply_pressure=0.0)
     t, x, pressure = y["time"], y["manipulator.boom_position"], y["boom_stick.boom_head_pressure"]
     lost = leakage * np.trapezoid(pressure - y["boom_stick.boom_head_valve_pressure"], t)
     volume = P["boom_dead_volume"] + HEAD * x.mean()

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.equations import Part, piston_areas
-from kit.properties import examples
 from scipy.optimize import brentq
 
 from fmus.boom_stick import AXES, VALUES, VARIANTS, variants
@@ -91,7 +90,6 @@ def test_modes_are_those_of_the_dispersion_relation(n):
     assert n not in first or found[0] == pytest.approx(first[n], rel=2e-4)
 
 
-@examples(40)
 @given(**ASKED, wall=st.floats(0.3e9, 5e9))
 def test_the_adviser_keeps_its_promise(length, bandwidth, error, wall):
     """With the advised lumps every mode up to the bandwidth is low by `error` at most, whatever the ends."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit import equations
+from kit import equations, shards
 from kit.work_cycle import PRESSURES
 
 from fmus.components import spool_valve
@@ -155,6 +155,7 @@ def test_lumped_drives_tend_to_quasistatic_ones_with_the_length_of_their_hoses()
     assert np.all(distance(1 / 16) < 1e-3 * size)
 
 
+@shards.machine  # the equations: the limit above
 def test_the_work_cycle_is_near_that_of_the_lumped_drives():
     """Over 8 s, root mean square over range: angles to 0.05 %, speeds and pressures to 0.1 %."""
     lumped, found = (

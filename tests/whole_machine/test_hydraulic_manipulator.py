@@ -16,7 +16,7 @@ from kit.mistakes import table
 from machine import SUBSYSTEMS, solve
 
 from fmus.parameters import values
-from orchestrator import read_trace
+from orchestrator import Trace, read_trace
 from orchestrator import reference as monolithic
 from orchestrator import run as orchestrate
 from orchestrator.data.recording import read_recording
@@ -152,6 +152,25 @@ def test_hermite_is_stable_at_large_steps(manipulator_systems, step, bar):
     result, error = by_hermite(manipulator_systems, step)
     assert result.complete
     assert error < bar
+
+
+@cache
+def manoeuvre(ramp: float) -> tuple[Trace, np.ndarray]:
+    """M1 with ramps of this length [s], and the truth every 10 ms."""
+    kappa = 0.4543455896 + np.array([0, 0, -0.01, -0.01, 0.02, 0.02])
+    given = Trace(np.array([0, 2, 2 + ramp, 6, 6 + ramp, 10.0]), {"kappa": kappa}, {"kappa": "1"})
+    return given, solve(given, np.arange(1001) * 1e-2)["arm.s1"]
+
+
+@table(__file__, "ramps", "ramp, step, limit")
+def test_linear_prediction_is_stable_at_large_steps(manipulator_systems, ramp, step, limit):
+    """Ramps of 0.2 s: micrometres at 100 ms, where the authors' schemes stop at 40 ms."""
+    given, truth = manoeuvre(ramp)
+    trace = orchestrate(
+        manipulator_systems["rates"], given, master="interface-jacobian", step=step, stop=10.0
+    ).trace
+    every = round(step / 1e-2)
+    assert np.max(np.abs(trace["arm.s1"] - truth[::every])) < limit
 
 
 def test_all_masters_in_one_call(manipulator_systems):

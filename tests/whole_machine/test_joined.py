@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fmpy import extract
-from fmpy.validation import validate_fmu
 from kit import mistakes
 from kit.toy import toy
 
@@ -18,7 +16,7 @@ from fmus.machine.build import data
 from fmus.machine.one_block import HARVESTER, HIDDEN, TEXTS, TOTALS
 from fmus.machine.parts import FERIC
 from fmus.monolith import join
-from fmus.parameters import Number, numbers, read, values
+from fmus.parameters import Number, numbers, values
 from orchestrator import run
 from orchestrator.data.recording import read_recording
 from orchestrator.results.layout import Layout
@@ -73,12 +71,6 @@ def test_numbers_are_those_of_the_components():
     pose = "initial_boom_angle"
     assert NUMBERS.p[pose] == TABLES["manipulator"]["parameters"][pose].value
     assert NUMBERS.u["supply_pressure"] == TABLES["swing"]["start"]["supply_pressure"].value
-
-
-def test_fmu_carries_the_numbers_with_their_sources(fmu_dir, tmp_path):
-    """resources/parameters.toml names the parameters as the FMU does."""
-    extract(str(fmu_dir / "harvester.fmu"), str(tmp_path))
-    assert read(tmp_path / "resources" / "parameters.toml") == numbers(HARVESTER)
 
 
 def part(name: str, gain: float = 2.0, text: str = "Gain", **quantity: Any) -> tuple[Subsystem, Any]:
@@ -162,11 +154,6 @@ def test_equations_are_those_of_the_monolith():
         np.testing.assert_allclose(dx.full(), model.right_hand_side(x, u, all_p).full(), rtol=1e-9)
         np.testing.assert_allclose(y.full()[:, 0], shown, rtol=1e-9)
         np.testing.assert_allclose(start(x, u, list(p.values())), model.start(x, u, all_p), rtol=1e-12)
-
-
-def test_fmpy_finds_no_problem(fmu_dir):
-    """Schema, model structure, units and names pass FMPy's validation."""
-    assert validate_fmu(str(fmu_dir / "harvester.fmu")) == []
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-8])

@@ -14,8 +14,6 @@ from orchestrator.fmi.interface import FmuInterface
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.system import Component, System
 from orchestrator.ssp.write import write_ssp
-from orchestrator.studies.parameter_study import prepare
-from orchestrator.studies.study import read
 
 SSV = """<ParameterSet xmlns="http://ssp-standard.org/SSP1/SystemStructureParameterValues" version="1.0"
  name="p"><Parameters><Parameter name="{}"><Real value="{}"/></Parameter></Parameters></ParameterSet>"""
@@ -134,21 +132,6 @@ def test_what_cannot_be_shared_is_refused(name, reason):
     system.check_shared()  # such as after a swap: not compared
     other = System("s", {"a": part}, shared={"factor": ("a", "b")})
     mistakes.problem(other.check_sharing, "start value in b, got no such component")
-
-
-def test_a_factor_of_a_study_sets_all_parts(fmu_dir, tmp_path):
-    """A factor of one part alone is refused; the name of the shared value is a factor like any other."""
-    file = tmp_path / "study.toml"
-    text = (
-        f'system = "{fmu_dir / "harvester.ssp"}"\nmethod = "grid"\nstop = 0.1\n'
-        '[factors."boom_stick.boom_stroke"]\ndistribution = "values"\nvalues = [0.58, 0.6]\n'
-        '[outputs.end]\nsignal = "manipulator.boom_position"\nmeasure = "final"\n'
-    )
-    file.write_text(text)
-    told = 'factors."boom_stick.boom_stroke": expected boom_stroke, one value for boom_stick and manipulator'
-    mistakes.problem(lambda: prepare(read(file)), told)
-    file.write_text(text.replace("boom_stick.boom_stroke", "boom_stroke"))
-    assert len(prepare(read(file)).samples) == 2
 
 
 @mistakes.table(__file__, "bounds", "given, message")

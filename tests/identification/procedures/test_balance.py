@@ -12,7 +12,7 @@ from identification.procedures.bench import changed
 from identification.procedures.lumped_machine import P, V, recording
 
 from fmus.contract import quantities, symbolic
-from fmus.identification.balance import linearised, modulating_function, solve, window_starts
+from fmus.identification.balance import linearised, modulating_function, solve
 from fmus.identification.procedures import momentum_balance
 from fmus.identification.procedures.momentum_balance import DRY, OFFSET, PARAMETERS
 from fmus.manipulator import MANIPULATOR
@@ -59,15 +59,6 @@ def test_the_bump_and_its_slope_are_one_filter(frequency, phase):
     # sums in the place of integrals: 1e-5 of the amplitude at 1 Hz, growing with its square
     tolerance = 1.5e-5 * max(frequency, 1.0) ** 2 * rate
     assert slope @ np.sin(x) == pytest.approx(rate * bump @ np.cos(x), abs=tolerance)
-
-
-def test_windows_have_no_bad_sample():
-    """All windows of 19 samples on the grid of 5 that are good are used, and no other."""
-    good = np.ones(200, dtype=bool)
-    good[[60, 61, 130]] = False
-    starts = window_starts(good, 19)
-    expected = [k for k in range(0, 182, 5) if good[k : k + 19].all()]
-    assert list(starts) == expected
 
 
 DAMPING = {"boom": "manipulator.boom_piston_damping", "stick": "manipulator.stick_piston_damping"}

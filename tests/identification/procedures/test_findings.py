@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from identification.procedures import bench, lumped_machine, test_motor_leakage
+from identification.procedures import bench, lumped_machine
 from identification.procedures.bench import BAR, changed, with_sensors
 
 from fmus.identification import pipeline, results
 from fmus.identification.procedures import damping, rest
 from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
-from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
 
 UP_AND_DOWN = (*np.linspace(15.0, 275.0, 14), *np.linspace(265.0, 25.0, 12))  # L/min
 
@@ -68,16 +67,6 @@ def test_angles_that_are_late_are_named():
     record = lumped_machine.recording("boom", seed=1)
     late = changed(record, {n: np.roll(record[n], 1) for n in record.signals if n.startswith("manipulator")})
     assert "time shift" in names(damping.identify([late], lumped_machine.KNOWN))
-
-
-def test_a_drift_of_a_leakage_is_named():
-    """A drain that falls by 2 % with time."""
-
-    def less(r):
-        return {"drain_flow": r["drain_flow"] * (1 - 0.02 * r.time / r.time[-1])}
-
-    recordings = test_motor_leakage.each(less)
-    assert "oil temperature" in names(MOTOR_LEAKAGE.identify(recordings, lumped_machine.KNOWN))
 
 
 def at_rest(seed=0, **zeros):

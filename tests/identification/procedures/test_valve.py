@@ -22,7 +22,7 @@ def true_resistance(volts):
     return bench.DENSITY / (2 * bench.C_D**2 * area**2)
 
 
-@pytest.fixture(scope="module", params=[6, pytest.param(30, marks=shards.search)])
+@pytest.fixture(scope="module", params=[4, pytest.param(30, marks=shards.search)])
 def results(request):
     """The procedure over noise seeds: of few the four edges have independent noise, and own intervals.
 
@@ -32,27 +32,20 @@ def results(request):
     return [valve.identify(bench.edges(n, leak), bench.KNOWN) for n, leak in enumerate(leakages)]
 
 
-def test_area_dead_band_and_curve_are_right(results):
-    """Area and dead band are right within 2 %, C_R within 3 % from 1.5 V on: the bars of the project."""
-    found = bench.named(results[0])
-    assert found["valve_area"].value == pytest.approx(bench.AREA, rel=0.02)
-    assert found["valve_dead_band"].value == pytest.approx(bench.DEAD_BAND, rel=0.02)
-    for volts in (1.5, 2.0, 3.0, 5.0, 8.0, 10.0):
-        assert found[f"C_R({volts:g} V)"].value == pytest.approx(true_resistance(volts), rel=0.03)
-
-
 TRUTH = {
     "valve_area": bench.AREA,
     "dead_band + rounding/2": bench.DEAD_BAND + bench.ROUNDING / 2,
-    "C_R(1.5 V)": true_resistance(1.5),
-    "C_R(10 V)": true_resistance(10.0),
+    **{f"C_R({volts:g} V)": true_resistance(volts) for volts in (1.5, 2.0, 3.0, 5.0, 8.0, 10.0)},
 }
 
 
 def test_intervals_have_their_coverage(results):
     """Over noise seeds, 95 % intervals hold the truth, and errors are as large as the standard deviations."""
     for name, truth in TRUTH.items():
-        bench.assert_coverage(truth, [bench.named(result)[name] for result in results])
+        found = [bench.named(result)[name] for result in results]
+        bench.assert_coverage(truth, found)
+        # the bar of the project is 3 %; a resistance goes with the square of the area
+        assert max(e.sd for e in found) < 0.01 * truth
     own = [e for f in results for n, e in bench.named(f).items() if n.startswith("valve_area[")]
     assert len(own) == 4 * len(results)
     bench.assert_coverage(bench.AREA, own)

@@ -196,19 +196,6 @@ def test_bad_line_of_a_csv_is_named(csv, line, told):
         refused(csv, "a.csv", f"line {number}", told)
 
 
-@table(__file__, "texts", "old, new, told")
-def test_bad_text_of_a_csv_is_named(csv, old, new, told):
-    """Wrong names, a quotation mark without an end."""
-    edit(csv, (old, new))
-    refused(csv, "a.csv", told)
-
-
-def test_a_letter_in_another_encoding_is_named(csv):
-    """In a number."""
-    csv.write_bytes(csv.read_bytes().replace(b"10.0", b"1\xb5.0", 1))
-    refused(csv, "a.csv", "line 4", "expected a number, got '1µ.0'")
-
-
 @table(__file__, "descriptions", "old, new, told")
 def test_bad_description_is_named_with_what_is_known(csv, old, new, told):
     """A misspelt key and a wrong value are refused with the allowed keys or values."""

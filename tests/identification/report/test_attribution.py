@@ -175,13 +175,3 @@ def test_a_small_share_is_not_reported(effects):
     assert explanation.shares[0].effect == "swinging head"
     assert 0.05 < explanation.shares[0].alone < attribution.LEAST
     assert explanation.effect == ""
-
-
-def test_the_orthogonal_part_is_orthogonal():
-    """It has no component along the regressors, even if these are linearly dependent."""
-    rng = np.random.default_rng(3)
-    slope = rng.standard_normal((50, 3))
-    slope = np.column_stack([slope, slope[:, 0] - slope[:, 1], np.zeros(50)])
-    rest = attribution.orthogonal_part(rng.standard_normal(50), slope)
-    # exact identity: rounding only
-    np.testing.assert_allclose(slope.T @ rest, 0, atol=1e-12)

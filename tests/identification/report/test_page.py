@@ -94,11 +94,15 @@ def test_values_are_written_in_si(tmp_path):
     assert found["explanation"] is None
 
 
-def test_numbers_have_few_digits():
-    """Significant digits, typeset powers of ten."""
+def test_numbers_have_few_digits_in_display_units():
+    """Significant digits, typeset powers of ten; SI values are converted, and the unit is typeset."""
     given = [(9.996, 3), (-1234.5, 2), (3.127e11, 3), (float("nan"), 3)]
     shown = ["10.0", "\N{MINUS SIGN}1200", "3.13·10¹¹", "\N{EN DASH}"]
     assert [report_texts.number(value, digits) for value, digits in given] == shown
+    assert report_texts.value(AREA) == "40.10"
+    assert [report_texts.number(4e-5, 4, *unit) for unit in (["m2"], [])] == ["40.00", "4.000·10⁻⁵"]
+    assert [report_texts.change(1.1, before) for before in (1.0, None)] == ["+10 %", report_texts.DASH]
+    assert report_texts.probability(1e-9) == "< 0.001"
 
 
 @given(st.floats(1e-12, 1e12), st.floats(1e-6, 0.3))
@@ -110,13 +114,3 @@ def test_a_value_has_the_digits_of_its_interval(value, share):
     shown = shown.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
     # the last of two digits of the half width, and at most seven digits at all
     assert abs(float(shown) - value) <= max(0.1 * half, 1e-6 * value)
-
-
-def test_parameters_are_shown_in_display_units():
-    """SI values are converted to the display unit, and the unit is typeset."""
-    assert report_texts.value(AREA) == "40.10"
-    assert report_texts.number(4e-5, 4, "m2") == "40.00"
-    assert report_texts.number(4e-5, 4) == "4.000·10⁻⁵"
-    assert report_texts.change(1.1, 1.0) == "+10 %"
-    assert report_texts.change(1.1, None) == report_texts.DASH
-    assert report_texts.probability(1e-9) == "< 0.001"

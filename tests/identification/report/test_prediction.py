@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from identification.procedures.bench import changed
 from kit.mistakes import problem
-from kit.properties import examples
 from kit.work_cycle import REFERENCE
 
 from fmus.identification.machine import COMMANDS
@@ -111,7 +110,6 @@ def test_a_measured_supply_pressure_drives_the_machine():
 
 
 @given(st.lists(st.floats(-10, 10), min_size=2, max_size=40), st.floats(0, 1))
-@examples(60)
 def test_straight_lines_stay_within_the_tolerance(values, tolerance):
     """No sample changes by more than the tolerance, and the ends do not change."""
     samples = np.array(values)[:, None]
