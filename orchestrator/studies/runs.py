@@ -46,7 +46,7 @@ def digest(data: bytes) -> str:
 
 @dataclass(frozen=True)
 class Payload:
-    """A study, its runs without the values of a sample, and their FMUs: all that another computer needs."""
+    """A study, its runs without the values of a sample, and their FMUs."""
 
     study: Study
     cases: Mapping[Options, Job]

@@ -79,11 +79,6 @@ def test_a_run_that_fails_in_lanes_has_the_reason_of_a_single_run(study, tmp_pat
     assert results.table["reason"].iloc[-1] == single.reason
 
 
-def test_a_cluster_runs_one_sample_at_a_time(study):
-    """Its computers may have no compiler, and other processors."""
-    assert {len(unit) for unit in units_of(prepare(study))} == {1}
-
-
 @shards.machine
 def test_the_accuracy_of_a_study(study, tmp_path):
     """Coupling and step follow from the accuracy, and the stored signals of all runs have it."""
