@@ -81,15 +81,14 @@ def _has_failed(future: Future[Any]) -> bool:
 
 def archives_of(systems: Iterable[System]) -> dict[Location, bytes]:
     """The FMUs of systems as bytes; those of an unpacked FMU, which is packed, do not depend on the time."""
+
+    def archive(source: Location) -> bytes:
+        if not source.is_folder:
+            return source.read()
+        return zip_bytes({name: source.member(name).read() for name in source.names()})
+
     sources = dict.fromkeys(c.source for s in systems for c in s.components.values() if c.source)
-    once: dict[bytes, bytes] = {}  # pickle sends an object only once
-    return {s: once.setdefault(content, content) for s in sources for content in (_archive(s),)}
-
-
-def _archive(source: Location) -> bytes:
-    if not source.is_folder:
-        return source.read()
-    return zip_bytes({name: source.member(name).read() for name in source.names()})
+    return {source: archive(source) for source in sources}
 
 
 class Runs:

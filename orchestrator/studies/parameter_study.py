@@ -13,13 +13,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import TextIO
-
-import pandas as pd
-import pyarrow as pa
 
 from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
@@ -27,42 +23,16 @@ from orchestrator.base.progress import Doing
 from orchestrator.base.text import grouped
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Status
-from orchestrator.lanes.many import archives_of, many
-from orchestrator.studies import design, store
-from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
-from orchestrator.studies.runs import STORE_TIME, Payload, RunOutcome, StudyRuns
+from orchestrator.lanes.many import many
+from orchestrator.studies import store
+from orchestrator.studies.cases import Options, Unit
+from orchestrator.studies.runs import STORE_TIME, PreparedStudy, RunOutcome, StudyRuns, prepare
 from orchestrator.studies.study import Study, read
 
 FOLDER = Path("build/sweeps")
 
 # all runs, finished runs, outcomes of the last batch
 Watch = Callable[[int, int, Sequence[RunOutcome]], None]
-
-
-@dataclass(frozen=True)
-class PreparedStudy:
-    """A study with its systems loaded; samples in the order of their runs."""
-
-    payload: Payload
-    table: pd.DataFrame
-    samples: Sequence[Sample]
-    warnings: tuple[str, ...] = ()
-
-    def inputs(self) -> tuple[dict[str, pa.Array], dict[str, str]]:
-        """Samples and start values of all runs as columns, and their units."""
-        study = self.payload.study
-        starts, units = design.starts(study, self.payload.cases, self.samples)
-        samples = {name: pa.array(column, from_pandas=True) for name, column in self.table.items()}
-        return samples | starts, {f.column: f.unit for f in study.factors if not f.relative} | units
-
-
-def prepare(study: Study) -> PreparedStudy:
-    """Load the systems of a study and draw its samples; raises a Problem if the study is impossible."""
-    resolved, cases = resolve(study)
-    table = design.table(resolved)
-    runs = design.runs(resolved, table, cases)
-    payload = Payload(resolved, cases, archives_of(case.system for case in cases.values()))
-    return PreparedStudy(payload, table, runs, doubts(resolved, cases.values()))
 
 
 def sweep(
@@ -87,12 +57,11 @@ def sweep(
     with store.locked(folder):
         if fresh:
             store.clear(folder)
-        fingerprint = store.fingerprint(prepared.payload, prepared.table)
-        results = store.Store(folder, prepared.payload.study, fingerprint, prepared.warnings)
+        results = store.Store(folder, prepared)
         results.forget_stopped()
         if not store.finished(folder):
             _run_missing(prepared, results, workers or available_cores(), watch or (lambda *_: None))
-            results.finish(*prepared.inputs())
+            results.finish()
         return store.read(folder)
 
 
@@ -112,7 +81,7 @@ def _run_missing(prepared: PreparedStudy, results: store.Store, workers: int, wa
         watch(total, count, batch)
 
     try:
-        with closing(StudyRuns(prepared.payload)) as runs:
+        with closing(StudyRuns(prepared)) as runs:
             units = units_of(prepared, runs.size)
             missing = [unit for unit in units if any(sample.run not in done for sample in unit)]
             many(runs.run, missing, keep, runs.stop, workers, STORE_TIME)

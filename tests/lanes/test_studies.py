@@ -34,7 +34,7 @@ def results(study, tmp_path_factory):
 def begun(study):
     """The study, ready to run, and its runs."""
     prepared = prepare(study)
-    return prepared, StudyRuns(prepared.payload)
+    return prepared, StudyRuns(prepared)
 
 
 def test_a_study_in_lanes_has_the_results_of_single_runs(study, results):
@@ -56,8 +56,7 @@ def test_the_results_do_not_depend_on_the_number_of_workers_or_on_an_interruptio
     prepared, runs = begun(study)
     unit = units_of(prepared, runs.size)[1]
     (tmp_path / "stopped").mkdir()
-    fingerprint = store.fingerprint(prepared.payload, prepared.table)
-    stored = store.Store(tmp_path / "stopped", prepared.payload.study, fingerprint)
+    stored = store.Store(tmp_path / "stopped", prepared)
     stored.add(runs.run(unit)[2:4])
     assert stored.done() == {10, 11}
     assert sweep(study, tmp_path / "stopped", workers=1).table.equals(results.table)
@@ -83,7 +82,7 @@ def test_a_run_that_fails_in_lanes_has_the_reason_of_a_single_run(study, tmp_pat
 def test_the_accuracy_of_a_study(study, tmp_path):
     """Coupling and step follow from the accuracy, and the stored signals of all runs have it."""
     study = replace(study, stop=1.0, accuracy=1e-3)
-    (case,) = prepare(study).payload.cases.values()
+    (case,) = prepare(study).cases.values()
     assert case.system.step > 1e-3
     assert case.options["tolerance"] == pytest.approx(1.5e-5)
     found, true = (
