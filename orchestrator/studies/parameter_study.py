@@ -13,19 +13,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from operator import attrgetter
 from pathlib import Path
 from typing import TextIO
 
 from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
 from orchestrator.base.progress import Doing
-from orchestrator.base.text import grouped
-from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Status
 from orchestrator.lanes.many import many
 from orchestrator.studies import store
-from orchestrator.studies.cases import Options, Unit
 from orchestrator.studies.runs import STORE_TIME, PreparedStudy, RunOutcome, StudyRuns, prepare
 from orchestrator.studies.study import Study, read
 
@@ -82,26 +78,12 @@ def _run_missing(prepared: PreparedStudy, results: store.Store, workers: int, wa
 
     try:
         with closing(StudyRuns(prepared)) as runs:
-            units = units_of(prepared, runs.size)
+            units = runs.units(prepared.samples)
             missing = [unit for unit in units if any(sample.run not in done for sample in unit)]
             many(runs.run, missing, keep, runs.stop, workers, STORE_TIME)
     except KeyboardInterrupt:
         stored = f"{len(results.done())} of {total} runs are stored in {results.folder}"
         raise Stopped(f"{stored}; the same command continues the study") from None
-
-
-def units_of(prepared: PreparedStudy, size: Callable[[Options], int]) -> list[Unit]:
-    """The samples that are run together: where possible groups in lanes, of samples with equal options.
-
-    The groups do not depend on which samples have results already, so neither do the results.
-
-    size   number of samples of a group
-    """
-    units = list[Unit]()
-    for options, samples in grouped(prepared.samples, attrgetter("options")).items():
-        together = size(options) if len(samples) >= LANES else 1  # fewer are not worth a compilation
-        units += [tuple(samples[i : i + together]) for i in range(0, len(samples), together)]
-    return sorted(units, key=lambda unit: unit[0].run)
 
 
 # ---- the command line

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
+from operator import attrgetter
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,7 @@ import pandas as pd
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.base.processes import machine_memory
+from orchestrator.base.text import grouped
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, inside
 from orchestrator.engine.job import Job
@@ -98,17 +100,23 @@ class StudyRuns:
             options: replace(job, system=system, options={**job.options, **limits})
             for (options, job), system in pairs
         }
-        self._lanes = dict[Options, Lanes | None]()
+        self._lanes = dict[Options, Lanes]()
         self.stop, self.close = self._runs.stop, self._runs.close
 
-    def size(self, options: Options) -> int:
-        """How many samples with these options are run together: those of a group in lanes, or one."""
-        if options not in self._lanes:
-            self._lanes[options] = None
-            with suppress(Problem):
-                job = self._jobs[options]
-                self._lanes[options] = Lanes(job, [job.system.port(n) for n in job.signals or ()])
-        return LANES if self._lanes[options] else 1
+    def units(self, samples: Sequence[Sample]) -> list[Unit]:
+        """The samples that are run together: where possible groups in lanes, of samples with equal options.
+
+        The groups do not depend on which samples have results already, so neither do the results.
+        """
+        units = list[Unit]()
+        for options, some in grouped(samples, attrgetter("options")).items():
+            together, job = 1, self._jobs[options]
+            if len(some) >= LANES:  # fewer are not worth a compilation
+                with suppress(Problem):
+                    self._lanes[options] = Lanes(job, [job.system.port(n) for n in job.signals or ()])
+                    together = LANES
+            units += [tuple(some[i : i + together]) for i in range(0, len(some), together)]
+        return sorted(units, key=lambda unit: unit[0].run)
 
     def run(self, unit: Unit) -> list[RunOutcome]:
         """Run samples with equal options, several in lanes. One that fails there is run again by itself."""
@@ -139,7 +147,6 @@ class StudyRuns:
         study, options = self._study, unit[0].options
         job, lanes = self._jobs[options], self._lanes[options]
         values, count = machine_values(job, {n: [float(s.factors[n]) for s in unit] for n in unit[0].factors})
-        assert lanes is not None
         rows = [np.full((count, job.times.rows), np.nan) for _ in lanes.signals]
         found: dict[int, RunOutcome] = {}
         ends = self._runs.together(lanes, values, rows, 0, count, job.options)

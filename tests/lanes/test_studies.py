@@ -8,7 +8,7 @@ from kit import shards
 from kit.mistakes import problem
 
 from orchestrator.studies import Choice, Factor, Output, Study, store, sweep
-from orchestrator.studies.parameter_study import prepare, units_of
+from orchestrator.studies.parameter_study import prepare
 from orchestrator.studies.runs import StudyRuns
 
 MASS = Factor("manipulator.head_mass", "uniform", {"minimum": 300, "maximum": 900})
@@ -40,7 +40,7 @@ def begun(study):
 def test_a_study_in_lanes_has_the_results_of_single_runs(study, results):
     """Each output, and the stored signals; the difference is that of the lanes, 1e-11 of the range."""
     prepared, runs = begun(study)
-    assert [len(unit) for unit in units_of(prepared, runs.size)] == [8, 8, 4]
+    assert [len(unit) for unit in runs.units(prepared.samples)] == [8, 8, 4]
     assert set(results.table["status"]) == {"ok"}
     for run in (0, 7, 19):
         (single,) = runs.run((prepared.samples[run],))
@@ -54,7 +54,7 @@ def test_a_study_in_lanes_has_the_results_of_single_runs(study, results):
 def test_the_results_do_not_depend_on_the_number_of_workers_or_on_an_interruption(study, results, tmp_path):
     """Bit for bit: two workers, and one after a stop when two runs of a group were stored."""
     prepared, runs = begun(study)
-    unit = units_of(prepared, runs.size)[1]
+    unit = runs.units(prepared.samples)[1]
     (tmp_path / "stopped").mkdir()
     stored = store.Store(tmp_path / "stopped", prepared)
     stored.add(runs.run(unit)[2:4])
