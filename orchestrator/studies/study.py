@@ -111,7 +111,7 @@ def _impossible(distribution: str, n: Mapping[str, Any]) -> tuple[str, str] | No
         return "mean", "a positive number"
     if "sd" in n and not n["sd"] > 0:
         return "sd", "a positive number"
-    if distribution == "values" and len(set(n["values"])) < len(n["values"]):
+    if distribution == "values" and len(set(n["values"])) < max(len(n["values"]), 1):
         return "values", "different numbers"
     return None
 

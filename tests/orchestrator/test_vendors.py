@@ -151,6 +151,14 @@ def test_an_annotation_in_a_nested_file_that_does_not_fit_is_refused(nest, outer
     assert run(path, step=0.05).card.steps == 2
 
 
+def test_an_element_of_a_draft_is_told(make):
+    """SSP never had `SimulationInformation`, so its step is not that of the run."""
+    draft = '<ssd:SimulationInformation><ssd:FixedStepMaster stepSize="2e-2"/></ssd:SimulationInformation>'
+    card = run(make(in_system=draft)).card
+    assert card.step == 1e-3
+    assert any(n.endswith("SimulationInformation: left out, no element of SSP") for n in card.notes)
+
+
 def test_our_own_annotation_wins(make):
     """It has more choices; the annotations of other tools in harvester.ssp are for those tools."""
     ours = note("ours", 'master="gauss-seidel" step="0.05"')
