@@ -150,15 +150,7 @@ def kept(name: str, make: Callable[[], bytes], dependencies: Iterable[bytes]) ->
     with suppress(OSError):  # the cache is not writable
         if folder := private_cache():
             file = folder / _file_name(name, "", {}, (), dependencies)
-            if _is_whole(file):
-                return file.read_bytes()
-            content = make()
-            with tempfile.TemporaryDirectory(dir=folder) as temporary:
-                write_whole(_sum_file(file), _sum(content))
-                (Path(temporary) / name).write_bytes(content)
-                (Path(temporary) / name).chmod(0o600)
-                (Path(temporary) / name).replace(file)
-            return content
+            return _made_once(file, lambda made: made.write_bytes(make())).read_bytes()
     return make()
 
 
@@ -280,13 +272,10 @@ def _compile(
     begin: Callable[[], object] | None,
     environment: Mapping[str, str] | None = None,
 ) -> Path:
-    if _is_whole(library):
-        return library
-    with _alone(library), tempfile.TemporaryDirectory(dir=library.parent) as folder:
-        if _is_whole(library):  # compiled meanwhile
-            return library
+    def make(made: Path) -> None:
+        folder = made.parent
         for file, data in code.items():
-            (Path(folder) / file).write_bytes(data)
+            (folder / file).write_bytes(data)
         if begin:
             begin()
         command = [sys.executable, "-m", "ziglang", "cc", *arguments, "-o", name]
@@ -295,15 +284,27 @@ def _compile(
         )
         if run.returncode:
             raise _compiler_error(run)
+
+    return _made_once(library, make, name)
+
+
+def _made_once(file: Path, make: Callable[[Path], object], name: str = "made") -> Path:
+    """A file of the cache, which `make` writes under a name in a temporary folder unless it is there."""
+    if _is_whole(file):
+        return file
+    with _alone(file), tempfile.TemporaryDirectory(dir=file.parent) as folder:
+        if _is_whole(file):  # made meanwhile
+            return file
         made = Path(folder) / name
+        make(made)
         made.chmod(0o700)
-        write_whole(_sum_file(library), _sum(made.read_bytes()))
+        write_whole(_sum_file(file), _sum(made.read_bytes()))
         try:
-            made.replace(library)
-        except OSError:  # on Windows, if another process compiled it meanwhile and has loaded it
-            if not _is_whole(library):
+            made.replace(file)
+        except OSError:  # on Windows, if another process made it meanwhile and has loaded it
+            if not _is_whole(file):
                 raise
-    return library
+    return file
 
 
 @contextmanager

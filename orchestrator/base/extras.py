@@ -13,7 +13,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "model": ("casadi", "scipy"),
     "build": ("casadi", "fmpy", "latex2mathml", "markdown_it", "pythonfmu", "scipy", "ziglang"),
     "view": ("starlette", "uvicorn", "websockets"),
-    "sweep": ("SALib", "dask", "distributed", "locket", "pandas", "pyarrow", "scipy"),
+    "sweep": ("SALib", "locket", "pandas", "pyarrow", "scipy"),
     "identify": ("casadi", "scipy", "statsmodels", "ziglang"),
     "files": ("h5py", "pandas", "pyarrow", "scipy"),
     "logger": ("asammdf", "nptdms"),

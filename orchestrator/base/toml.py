@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from datetime import date
 from functools import cache
@@ -25,7 +25,6 @@ from orchestrator.base.files import Location
 MAX_BYTES = 4 << 20  # a list of 100 000 numbers has 2 MB; tomllib reads 4 MB in some seconds
 # a key a.b.c of 32 or more parts: the effort of tomllib grows with the square of their number
 _LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){31}""")
-Choice = TypeVar("Choice", bound=str)
 Dataclass = TypeVar("Dataclass")
 
 
@@ -43,7 +42,7 @@ NOT_NEGATIVE = Rule("0 or more", lambda value: value >= 0)
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a TOML file. Its methods check the value of a key; a missing optional key gives None.
+    """A table of a TOML file.
 
     where   file and name of the table, for messages
     data    the content
@@ -69,31 +68,6 @@ class Table:
     def problem(self, key: str, expected: str) -> Problem:
         """The Problem for a wrong value."""
         return Problem(f"{self.where}: {key}: expected {expected}, got {_repr(self.data.get(key))}")
-
-    def value(self, key: str, rule: Rule) -> Any:
-        """The value of a key, for which a rule must hold."""
-        value = self.data.get(key)
-        if value is not None and not rule.holds(value):
-            raise self.problem(key, rule.expected)
-        return value
-
-    def one_of(self, key: str, choices: Iterable[Choice]) -> Choice:
-        """One of some texts."""
-        names = list(choices)
-        expected = f"one of {', '.join(names)}"
-        value = self.require(key, expected)
-        if value not in names:
-            hint = suggest(value, names) if isinstance(value, str) else ""
-            raise Problem(f"{self.problem(key, expected)}{hint}")
-        return names[names.index(value)]
-
-    def tables(self, key: str) -> dict[str, Table]:
-        """The tables inside the table `key`, by name."""
-        inner = self.table(key)
-        for name, value in inner.data.items():
-            if not isinstance(value, dict):
-                raise inner.problem(name, "a table")
-        return {name: Table(f"{inner.where}.{quote_key(name)}", value) for name, value in inner.data.items()}
 
     def table(self, key: str) -> Table:
         """The table `key`; an empty one if it is missing."""

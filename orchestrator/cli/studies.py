@@ -165,7 +165,6 @@ def sweep(
     study: Annotated[Path, Kind("STUDY.toml", positional=True)],
     out: Folder | None = None,
     workers: Annotated[int | None, Kind("N", least=1)] = None,
-    scheduler: Annotated[str | None, Kind("URL")] = None,
     fresh: bool = False,
     no_report: bool = False,
 ) -> bool:
@@ -176,8 +175,7 @@ def sweep(
 
     study       Description of the study: what is varied, what is run, and which results are kept.
     out         Folder of the results; default: build/sweeps/STUDY.
-    workers     Number of runs at the same time on this computer; default: one per core.
-    scheduler   Run on this Dask cluster instead, such as tcp://host:8786; default: this computer.
+    workers     Number of runs at the same time; default: one per core.
     fresh       Delete earlier results in DIR and start again.
     no_report   Leave out the page report.html.
     """
@@ -187,11 +185,8 @@ def sweep(
 
     chosen = read_study(study)
     tell_built(chosen.system_file, {})
-    if workers and scheduler:
-        cluster = "whose cluster determines the number of workers"
-        raise Problem(f"--workers: expected none with --scheduler, {cluster}")
     folder = out or parameter_study.FOLDER / study.stem
-    run = partial(parameter_study.sweep, workers=workers, scheduler=scheduler, fresh=fresh)
+    run = partial(parameter_study.sweep, workers=workers, fresh=fresh)
     with parameter_study.progress() as watch:
         results = run(chosen, folder, watch=watch)
     table = results.table

@@ -30,7 +30,7 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.description import Value
 from orchestrator.lanes.compiled import LANES, NotInLanes
 from orchestrator.lanes.group import Ended, Lanes, Status
-from orchestrator.lanes.many import BY_USER, Runs, in_threads
+from orchestrator.lanes.many import BY_USER, Runs, many
 from orchestrator.ssp.masters import MASTERS
 from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
@@ -270,7 +270,7 @@ def run_machines(
             return [(first, end)]
 
         firsts = range(0, count, LANES if lanes else 1)
-        in_threads(work, firsts, lambda found: ended.update(chain(*found)), runs.stop, workers)
+        many(work, firsts, lambda found: ended.update(chain(*found)), runs.stop, workers)
     return {machine: end for machine, end in ended.items() if end}
 
 

@@ -1,7 +1,6 @@
 """Many runs, several at a time: `many` hands out tasks, `Runs` has the processes and the groups of lanes.
 
-`batch` and the studies go through both: on threads of this process, or on another executor, such as that of a
-Dask cluster.
+`batch` and the studies go through both.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import threading
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -38,39 +37,30 @@ BY_USER = Ended(Status.INTERRUPTED, "by the user")
 
 def many(
     run: Callable[[Task], Outcome],
-    tasks: Iterable[Task],
+    tasks: Sequence[Task],
     keep: Callable[[list[Outcome]], object],
     stop: Callable[[], object],
-    executor: Executor,
-    places: Callable[[], int],
-    failed: Callable[[Task, Exception], Outcome] | None = None,
+    workers: int,
     interval: float = 0.0,
 ) -> None:
-    """Run tasks on an executor; the first exception, or an interrupt, ends all.
+    """Run tasks in threads, with one more ready for each; the first exception, or an interrupt, ends all.
 
     keep       called with new outcomes, at intervals [s] and before an exception is raised
     stop       ends the tasks that run, after an exception
-    places     so many tasks are there at once, which run or wait; called all the time; may raise an exception
-    failed     the outcome of a task that raised an exception, which it may raise again
+    workers    so many tasks run at once
     interval   between two calls of `keep` [s]
     """
-    waiting, running = deque(tasks), dict[Future[Outcome], Task]()
+    waiting, running, threads = deque(tasks), set[Future[Outcome]](), max(1, min(workers, len(tasks)))
     found, kept = list[Outcome](), -interval
-    with DeferredInterrupts() as interrupts, executor:
+    with DeferredInterrupts() as interrupts, ThreadPoolExecutor(threads) as executor:
         try:
             while waiting or running:
-                for _ in range(min(places() - len(running), len(waiting))):
-                    task = waiting.popleft()
-                    running[executor.submit(run, task)] = task
+                for _ in range(min(2 * threads - len(running), len(waiting))):
+                    running.add(executor.submit(run, waiting.popleft()))
                 ended = wait(running, POLL_INTERVAL, FIRST_COMPLETED).done
+                running -= ended
                 for future in sorted(ended, key=_has_failed):  # an outcome is kept before an exception
-                    task = running.pop(future)
-                    try:
-                        found.append(future.result())
-                    except Exception as error:
-                        if failed is None:
-                            raise
-                        found.append(failed(task, error))
+                    found.append(future.result())
                 if found and time.monotonic() - kept >= interval:
                     new, found, kept = found, [], time.monotonic()
                     keep(new)
@@ -86,33 +76,19 @@ def many(
 
 
 def _has_failed(future: Future[Any]) -> bool:
-    return future.cancelled() or future.exception() is not None
-
-
-def in_threads(
-    run: Callable[[Task], Outcome],
-    tasks: Sequence[Task],
-    keep: Callable[[list[Outcome]], object],
-    stop: Callable[[], object],
-    workers: int,
-    interval: float = 0.0,
-) -> None:
-    """`many` in threads of this process, for each of which one more task is ready."""
-    count = max(1, min(workers, len(tasks)))
-    many(run, tasks, keep, stop, ThreadPoolExecutor(count), lambda: 2 * count, interval=interval)
+    return future.exception() is not None
 
 
 def archives_of(systems: Iterable[System]) -> dict[Location, bytes]:
     """The FMUs of systems as bytes; those of an unpacked FMU, which is packed, do not depend on the time."""
+
+    def archive(source: Location) -> bytes:
+        if not source.is_folder:
+            return source.read()
+        return zip_bytes({name: source.member(name).read() for name in source.names()})
+
     sources = dict.fromkeys(c.source for s in systems for c in s.components.values() if c.source)
-    once: dict[bytes, bytes] = {}  # pickle sends an object only once
-    return {s: once.setdefault(content, content) for s in sources for content in (_archive(s),)}
-
-
-def _archive(source: Location) -> bytes:
-    if not source.is_folder:
-        return source.read()
-    return zip_bytes({name: source.member(name).read() for name in source.names()})
+    return {source: archive(source) for source in sources}
 
 
 class Runs:

@@ -31,17 +31,16 @@ If a Coupling is missing, those of other tools are used. They are followed, or a
 user chooses a master or a step: a run with another step than that of the file could be taken for its result.
 
     OMSimulator   org.openmodelica: FixedStepMaster, VariableStepMaster; Jacobi, held inputs
-    a draft       SimulationInformation directly in a System, as in drafts of SSP: as that of OMSimulator
-    libcosim      com.opensimulationplatform, org.open-simulation-platform: FixedStepAlgorithm; as before
-    others        FMIGo, Ecos, OpenMCx, Vico: refused
+    libcosim      com.opensimulationplatform: FixedStepAlgorithm, StepSizeHint; as before
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import combinations
-from typing import Any, NamedTuple
+from math import isclose
+from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import declarations
@@ -161,92 +160,56 @@ def _attributes(element: XmlElement, types: Mapping[str, Any]) -> dict[str, Any]
 # ---- annotations of other tools ----------------------------------------------------------------------------
 
 SAME_STEP = 1e-9  # relative difference of two equal steps
-DRAFT = "a draft of SSP"
 JACOBI = Coupling("jacobi")
-
-
-@dataclass(frozen=True)
-class Request:
-    """Coupling and step that one element of a tool's annotation requests.
-
-    coupling    None if it requests only a step
-    step        [s]
-    component   the component that it applies to; empty: all
-    """
-
-    tool: str
-    element: XmlElement
-    coupling: Coupling | None
-    step: float
-    component: str = ""
-
-    def __str__(self) -> str:
-        master = self.coupling.method.name if self.coupling else "any master"
-        adaptive = (
-            f", adaptive {self.coupling.adaptive:g}" if self.coupling and self.coupling.adaptive else ""
-        )
-        line = self.element.element.sourceline
-        return f"line {line} ({self.tool}) requests {master}{adaptive}, step {self.step:g} s"
-
-    def agrees(self, other: Request) -> bool:
-        """Are two requests compatible?"""
-        same_step = abs(self.step - other.step) <= SAME_STEP * self.step
-        return same_step and (None in (self.coupling, other.coupling) or self.coupling == other.coupling)
+TOOLS = {"org.openmodelica": "OMSimulator", "com.opensimulationplatform": "libcosim"}  # by type of annotation
 
 
 def _suggestion_of_other_tools(roots: Iterable[XmlElement]) -> Suggestion:
     """The suggestion of all annotations of other tools in these files."""
     try:
-        requests = [r for root in roots for r in _requests(root)]
-        for one, other in combinations(requests, 2):
-            if not one.agrees(other):
-                here, there = one.element.file, other.element.file
-                raise Problem(f"{here}: {one}, but {'' if there == here else f'{there}: '}{other}")
+        found = [s for root in roots for s in _suggestions(root)]
+        for one, other in combinations(found, 2):
+            if one.coupling != other.coupling or not isclose(
+                one.step or 0, other.step or 0, rel_tol=SAME_STEP
+            ):
+                raise Problem(f"{_requested(one)}, but {_requested(other)}")
     except Problem as problem:
         return Suggestion(refusal=str(problem))
-    if not requests:
+    if not found:
         return Suggestion()
-    masters = [r for r in requests if r.coupling is not None]
-    chosen = masters or requests
-    tools = (
-        f"SimulationInformation of {r.tool}" if r.tool == DRAFT else f"the annotation of {r.tool}"
-        for r in chosen
-    )
-    files = dict.fromkeys(str(r.element.file) for r in chosen)
-    first = chosen[0]
-    return Suggestion(
-        coupling=first.coupling,
-        step=first.step,
-        source=f"{' and '.join(dict.fromkeys(tools))} in {' and '.join(files)}",
-        location=f"{first.element.location} ({first.tool})",
-        components=() if masters else tuple(dict.fromkeys(r.component for r in requests)),
-    )
+    return replace(found[0], source=" and ".join(dict.fromkeys(s.source for s in found)))
 
 
-def _requests(root: XmlElement) -> Iterator[Request]:
-    """All requests in a file."""
+def _requested(found: Suggestion) -> str:
+    coupling = found.coupling or Coupling()
+    adaptive = f", adaptive {coupling.adaptive:g}" if coupling.adaptive else ""
+    return f"{found.location} requests {coupling.text}{adaptive}, step {found.step:g} s"
+
+
+def _suggestions(root: XmlElement) -> Iterator[Suggestion]:
+    """The suggestions of all annotations of other tools in a file."""
     for raw in root.element.iter():
         element = XmlElement(root.file, raw)
-        if element.name == "Annotation":
-            type_ = (element.get("type") or "").strip()
-            for prefix, tool in REFUSED.items():
-                if type_.startswith(prefix):
-                    raise _refusal(element, f"the annotation {type_} of {tool} is not supported")
-            if type_ in TOOLS:
-                yield from _elements(element, TOOLS[type_])
-        elif element.name == "SimulationInformation" and local_name(raw.getparent()) == "System":
-            yield from _simulation_information(element, DRAFT)
+        tool = TOOLS.get((element.get("type") or "").strip()) if element.name == "Annotation" else None
+        if tool is not None:
+            yield from _elements(element, tool)
 
 
-def _elements(parent: XmlElement, annotation: AnnotationType) -> Iterator[Request]:
-    """The requests in an annotation; OMSimulator nests annotations."""
+def _elements(parent: XmlElement, tool: str) -> Iterator[Suggestion]:
+    """The suggestions in an annotation; OMSimulator nests annotations."""
     for e in parent.children():
         if e.name == "Annotations":
-            yield from _elements(e, annotation)
-        elif e.name in annotation.readers:
-            yield from annotation.readers[e.name](e, annotation.tool)
-        elif e.name not in annotation.ignored:
-            raise _unsupported(e, annotation.tool)
+            yield from _elements(e, tool)
+        elif (reader := READERS_OF_TOOLS.get((tool, e.name))) is not None:
+            yield from reader(e, tool)
+        elif e.name != "Buses":
+            raise _unsupported(e, tool)
+
+
+def _of(tool: str, element: XmlElement, step: float, coupling: Coupling = JACOBI) -> Suggestion:
+    """Coupling and step [s] that one element of a tool's annotation requests."""
+    source = f"the annotation of {tool} in {element.file}"
+    return Suggestion(coupling, step, source=source, location=f"{element.location} ({tool})")
 
 
 def _refusal(element: XmlElement, reason: str) -> Problem:
@@ -267,43 +230,34 @@ def _step(element: XmlElement, name: str) -> float:
     return value
 
 
-def _owner(element: XmlElement) -> str:
-    """The name of the component or system that has the annotation."""
-    ancestors = (
-        e.get("name") for e in element.element.iterancestors() if local_name(e) in ("Component", "System")
-    )
-    return next(filter(None, ancestors), "the system")
-
-
-def _algorithm(element: XmlElement, tool: str) -> Iterator[Request]:
-    """Algorithm: the element inside has the step."""
+def _algorithm(element: XmlElement, tool: str) -> Iterator[Suggestion]:
+    """Algorithm of libcosim: the element inside has the step."""
     children = list(element.children())
     if not children:
         raise _refusal(element, f"{element.name} of {tool}: expected a FixedStepAlgorithm, got none")
     for e in children:
         for unknown in (*([] if e.name == "FixedStepAlgorithm" else [e]), *e.children()):
             raise _unsupported(unknown, tool)
-        yield Request(tool, e, JACOBI, _step(e, "baseStepSize"))
+        yield _of(tool, e, _step(e, "baseStepSize"))
 
 
-def _step_size_hint(element: XmlElement, tool: str) -> Iterator[Request]:
-    """StepSizeHint of libcosim: the step of one component."""
-    yield Request(tool, element, None, _step(element, "value"), _owner(element))
+def _step_size_hint(element: XmlElement, tool: str) -> Iterator[Suggestion]:
+    """StepSizeHint of libcosim: the step of one component, here of all."""
+    yield _of(tool, element, _step(element, "value"))
 
-
-# SimulationInformation of OMSimulator, drafts of SSP and early libcosim. A child element is the master.
 
 VARIABLE = ("initialStepSize", "minimumStepSize", "maximumStepSize", "relativeTolerance")
 RESULTS = ("name", "resultFile", "loggingInterval", "bufferSize", "signalFilter")
 
 
-def _simulation_information(element: XmlElement, tool: str) -> Iterator[Request]:
+def _simulation_information(element: XmlElement, tool: str) -> Iterator[Suggestion]:
+    """SimulationInformation of OMSimulator: a child element is the master."""
     for name in element.attributes:  # another one may be a step, or a solver
         if name not in RESULTS:
             raise _refusal(element, f"attribute {name} of {element.name} ({tool}) is not supported")
     for e in element.children():
         if e.name == "FixedStepMaster":
-            yield Request(tool, e, JACOBI, _step(e, "stepSize"))
+            yield _of(tool, e, _step(e, "stepSize"))
         elif e.name == "VariableStepMaster":
             yield _variable_step(e, tool)
         elif e.name == "VariableStepSolver":
@@ -314,7 +268,7 @@ def _simulation_information(element: XmlElement, tool: str) -> Iterator[Request]
             raise _unsupported(e, tool)
 
 
-def _variable_step(element: XmlElement, tool: str) -> Request:
+def _variable_step(element: XmlElement, tool: str) -> Suggestion:
     """A master with adaptive steps; the nearest one of this project has the same tolerance and limits."""
     for name in VARIABLE:
         element.required(name)
@@ -326,40 +280,13 @@ def _variable_step(element: XmlElement, tool: str) -> Request:
         coupling = Coupling("jacobi", adaptive=tolerance, smallest=smallest or None, largest=largest)
     except Problem as problem:
         raise element.problem(str(problem)) from None
-    return Request(tool, element, coupling, first)
+    return _of(tool, element, first, coupling)
 
 
-Reader = Callable[[XmlElement, str], Iterator[Request]]
-
-
-class AnnotationType(NamedTuple):
-    """Readers of the elements in one type of annotations, and elements without effect on a run."""
-
-    tool: str
-    readers: Mapping[str, Reader]
-    ignored: tuple[str, ...] = ()
-
-
-_LIBCOSIM = AnnotationType(
-    "libcosim",
-    {
-        "Algorithm": _algorithm,
-        "SimulationInformation": _simulation_information,
-        "StepSizeHint": _step_size_hint,
-    },
-)
-TOOLS = {
-    "org.openmodelica": AnnotationType(
-        "OMSimulator", {"SimulationInformation": _simulation_information}, ("Buses",)
-    ),
-    "com.opensimulationplatform": _LIBCOSIM,
-    "org.open-simulation-platform": _LIBCOSIM,
-}
-REFUSED = {  # by the prefix of the annotation type
-    "se.umu.math.umit.": "FMIGo",
-    "com.avl.model.connect.ssp.": "OpenMCx",
-    "com.github.ntnu-ihb.vico": "Vico",
-    "com.github.ecos-platform.scenario": "Ecos",
+READERS_OF_TOOLS: Mapping[tuple[str, str], Callable[[XmlElement, str], Iterator[Suggestion]]] = {
+    ("OMSimulator", "SimulationInformation"): _simulation_information,
+    ("libcosim", "Algorithm"): _algorithm,
+    ("libcosim", "StepSizeHint"): _step_size_hint,
 }
 
 

@@ -14,7 +14,6 @@ NAMESPACES = {
     "ssc": f"{_SSP}Common",
     "ssd": f"{_SSP}Description",
     "ssv": f"{_SSP}ParameterValues",
-    "ssb": f"{_SSP}SignalDictionary",
 }
 # names of types by version of SSP; version 2.0 uses those of FMI 3.0
 TYPES: Mapping[str, Mapping[str, str]] = {

@@ -244,7 +244,6 @@ class Suggestion:
     refusal      why the suggestion cannot be used; empty if it can
     source       the annotation of another tool, for a note on the card of a run; empty for our annotation
     location     file and line of the suggested step, for messages
-    components   the components for which the step is suggested; empty: all
     overridden   names of settings that the user has changed
     dismissed    the refusal of a suggestion that the user has replaced by a master
     """
@@ -254,7 +253,6 @@ class Suggestion:
     refusal: str = ""
     source: str = ""
     location: str = ""
-    components: tuple[str, ...] = ()
     overridden: tuple[str, ...] = ()
     dismissed: str = ""
 
@@ -271,11 +269,8 @@ class Suggestion:
         """Notes for the card of a run: which parts of another tool's annotation the run follows."""
         if refusal := self.dismissed or (self.refusal if step_given else ""):
             return (f"put aside: {refusal}",)
-        if not self.source or (self.components and step_given):
+        if not self.source:
             return ()
-        if self.components:
-            names = " and ".join(self.components)
-            return (f"all components use the step that {self.source} gives for {names}",)
         overridden = [*dict.fromkeys(self.overridden), *(["step"] if step_given else [])]
         exceptions = f", except for {', '.join(overridden)}" if overridden else ""
         return (f"coupled according to {self.source}{exceptions}",)

@@ -36,8 +36,6 @@ from orchestrator.ssp.system import (
     open_component,
 )
 
-# suffix of a time derivative -> suffixes of the variable that it is the derivative of
-DERIVATIVE_SUFFIXES = {"_rate": ("",), "_acceleration": ("_velocity", "_speed")}
 SUFFIX, MAKE = ".fmu", "harvester build"
 
 
@@ -206,14 +204,9 @@ def _optional_input(system: System, port: Port) -> str:
 
 
 def _is_rate(system: System, port: Port) -> bool:
-    """Is an input the time derivative of another one, by declaration or by name?"""
-    interface, name = system.components[port.component].interface, port.variable
-    if name in interface.rate_inputs.values():
-        return name not in interface.rate_inputs  # a rate with a rate of its own is needed for more
-    for suffix, base_suffixes in DERIVATIVE_SUFFIXES.items():
-        if name.endswith(suffix):
-            return any(name.removesuffix(suffix) + base in interface.variables for base in base_suffixes)
-    return False
+    """Is an input declared as the time derivative of another one?"""
+    rates, name = system.components[port.component].interface.rate_inputs, port.variable
+    return name in rates.values() and name not in rates  # a rate with a rate of its own is needed for more
 
 
 # ---- does the new FMU fit? ---------------------------------------------------------------------------------

@@ -37,7 +37,7 @@ FMU, SSD, PACKAGE = (
 )
 SOURCE, SINK = "source", "sink"
 INFORMATIVE = ("MetaData", "Signature")
-OPAQUE = {"Annotation", "SimulationInformation", *INFORMATIVE}  # with elements of others inside
+OPAQUE = {"Annotation", *INFORMATIVE}  # with elements of others inside
 INOUT = "inout"
 NAMES = """
     SystemStructureDescription System Elements Component SignalDictionaryReference Connectors Connector

@@ -1,7 +1,7 @@
 """Writes a system as an .ssp file: SSP 1.0, or 2.0 for FMUs of FMI 3.0.
 
-The archive contains the system structure, the FMUs, parameter sets, a signal dictionary of all
-outputs, and the other resources of the SSP that the system was loaded from.
+The archive contains the system structure, the FMUs, parameter sets, and the other resources of the SSP that
+the system was loaded from.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -51,11 +51,7 @@ def write_ssp(
     for name in bound:
         if name not in sets:
             raise Problem(f"{system.name}: bound set {name}: expected one of the sets {', '.join(sets)}")
-    outputs = [(p.component, system.variable(p)) for p in system.ports("output")]
-    signals = [(name, v) for name, v in outputs if _has_type(v)]
-    units = defined_units(v.unit for _, v in signals)
-    dictionary = _file("signals.ssb", version, tool=generation_tool(), outputs=signals, units=units)
-    files = _other_resources(system) | {"signals.ssb": dictionary, **(resources or {})}
+    files = _other_resources(system) | dict(resources or {})
     for name, c in system.components.items():
         if c.source is None:
             raise Problem(

@@ -1,8 +1,7 @@
 """Many runs: parameter studies and convergence studies.
 
     study, cases, design     a parameter study as data, resolved against its systems, and its samples
-    runs                     the runs on this computer, and what is stored of them
-    cluster, store           the same on a cluster of Dask, and the folder with the results
+    runs, store              the runs and what is stored of them; the folder with the results
     parameter_study          `harvester sweep`
     analysis, report         statistics and sensitivities of its results, and their page
     convergence              `harvester convergence`: error of each master over the communication step

@@ -12,29 +12,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
-from operator import attrgetter
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
-
-import pandas as pd
-import pyarrow as pa
+from typing import TextIO
 
 from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
 from orchestrator.base.progress import Doing
-from orchestrator.base.text import grouped
-from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Status
-from orchestrator.lanes.many import archives_of, in_threads
-from orchestrator.studies import design, store
-from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
-from orchestrator.studies.runs import STORE_TIME, Payload, RunOutcome, StudyRuns
+from orchestrator.lanes.many import many
+from orchestrator.studies import store
+from orchestrator.studies.runs import STORE_TIME, PreparedStudy, RunOutcome, StudyRuns, prepare
 from orchestrator.studies.study import Study, read
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 FOLDER = Path("build/sweeps")
 
@@ -42,39 +31,11 @@ FOLDER = Path("build/sweeps")
 Watch = Callable[[int, int, Sequence[RunOutcome]], None]
 
 
-@dataclass(frozen=True)
-class PreparedStudy:
-    """A study with its systems loaded; samples in the order of their runs."""
-
-    payload: Payload
-    table: pd.DataFrame
-    samples: Sequence[Sample]
-    warnings: tuple[str, ...] = ()
-
-    def inputs(self) -> tuple[dict[str, pa.Array], dict[str, str]]:
-        """Samples and start values of all runs as columns, and their units."""
-        study = self.payload.study
-        starts, units = design.starts(study, self.payload.cases, self.samples)
-        samples = {name: pa.array(column, from_pandas=True) for name, column in self.table.items()}
-        return samples | starts, {f.column: f.unit for f in study.factors if not f.relative} | units
-
-
-def prepare(study: Study) -> PreparedStudy:
-    """Load the systems of a study and draw its samples; raises a Problem if the study is impossible."""
-    resolved, cases = resolve(study)
-    table = design.table(resolved)
-    runs = design.runs(resolved, table, cases)
-    payload = Payload(resolved, cases, archives_of(case.system for case in cases.values()))
-    return PreparedStudy(payload, table, runs, doubts(resolved, cases.values()))
-
-
 def sweep(
     study: Study | str | Path,
     folder: str | Path | None = None,
     *,
     workers: int | None = None,
-    scheduler: str | None = None,
-    client: Client | None = None,
     fresh: bool = False,
     watch: Watch | None = None,
 ) -> store.Results:
@@ -82,37 +43,26 @@ def sweep(
 
     study      a study or the path of its TOML file
     folder     folder of the results; default: build/sweeps/ and the name of the file or the title
-    workers    number of parallel runs on this machine; default: one per core
-    scheduler  address of a Dask cluster for the runs, such as tcp://host:8786
-    client     a connection to a Dask cluster for the runs; it stays open
+    workers    number of parallel runs; default: one per core
     fresh      delete the results of a study in the folder
     watch      called before the first run and after each batch: all, finished runs, outcomes of the batch
     """
     study = study if isinstance(study, Study) else read(study)
     folder = Path(folder) if folder else FOLDER / (Path(study.source).stem or study.title or "study")
     prepared = prepare(study)
-    with ExitStack() as stack:
-        if scheduler and not client and (fresh or not store.finished(folder)):
-            from orchestrator.studies import cluster
-
-            # connect first: if no scheduler answers, nothing is written or deleted
-            client = stack.enter_context(cluster.client(scheduler))
-        stack.enter_context(store.locked(folder))
+    with store.locked(folder):
         if fresh:
             store.clear(folder)
-        fingerprint = store.fingerprint(prepared.payload, prepared.table)
-        results = store.Store(folder, prepared.payload.study, fingerprint, prepared.warnings)
+        results = store.Store(folder, prepared)
         results.forget_stopped()
         if not store.finished(folder):
-            _run_missing(prepared, results, client, workers or available_cores(), watch or (lambda *_: None))
-            results.finish(*prepared.inputs())
+            _run_missing(prepared, results, workers or available_cores(), watch or (lambda *_: None))
+            results.finish()
         return store.read(folder)
 
 
-def _run_missing(
-    prepared: PreparedStudy, results: store.Store, client: Client | None, workers: int, watch: Watch
-) -> None:
-    """Run the samples without stored results, on this computer if there is no client."""
+def _run_missing(prepared: PreparedStudy, results: store.Store, workers: int, watch: Watch) -> None:
+    """Run the samples without stored results."""
     done, total = results.done(), len(prepared.samples)
     count = len(done)
     watch(total, count, ())
@@ -126,35 +76,14 @@ def _run_missing(
         count += len(batch)
         watch(total, count, batch)
 
-    def missing(units: Sequence[Unit]) -> list[Unit]:
-        return [unit for unit in units if any(sample.run not in done for sample in unit)]
-
     try:
-        if client is None:
-            with closing(StudyRuns(prepared.payload)) as runs:
-                units = missing(units_of(prepared, runs.size))
-                in_threads(runs.run, units, keep, runs.stop, workers, STORE_TIME)
-        else:
-            from orchestrator.studies import cluster
-
-            cluster.run_units(client, prepared.payload, missing(units_of(prepared)), keep)
+        with closing(StudyRuns(prepared)) as runs:
+            units = runs.units(prepared.samples)
+            missing = [unit for unit in units if any(sample.run not in done for sample in unit)]
+            many(runs.run, missing, keep, runs.stop, workers, STORE_TIME)
     except KeyboardInterrupt:
         stored = f"{len(results.done())} of {total} runs are stored in {results.folder}"
         raise Stopped(f"{stored}; the same command continues the study") from None
-
-
-def units_of(prepared: PreparedStudy, size: Callable[[Options], int] = lambda _: 1) -> list[Unit]:
-    """The samples that are run together: where possible groups in lanes, of samples with equal options.
-
-    The groups do not depend on which samples have results already, so neither do the results.
-
-    size   number of samples of a group
-    """
-    units = list[Unit]()
-    for options, samples in grouped(prepared.samples, attrgetter("options")).items():
-        together = size(options) if len(samples) >= LANES else 1  # fewer are not worth a compilation
-        units += [tuple(samples[i : i + together]) for i in range(0, len(samples), together)]
-    return sorted(units, key=lambda unit: unit[0].run)
 
 
 # ---- the command line

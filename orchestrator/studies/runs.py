@@ -6,17 +6,19 @@ A crash of an FMU ends only its own run.
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
+from operator import attrgetter
 
 import numpy as np
+import pandas as pd
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.base.processes import machine_memory
+from orchestrator.base.text import grouped
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, inside
 from orchestrator.engine.job import Job
@@ -24,9 +26,10 @@ from orchestrator.engine.result import BondEnergy, bonds_above
 from orchestrator.lanes.batch import machine_values, recorded_times
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Ended, Lanes, Status
-from orchestrator.lanes.many import Runs
+from orchestrator.lanes.many import Runs, archives_of
 from orchestrator.ssp.system import System
-from orchestrator.studies.cases import Options, Sample, Unit, signal
+from orchestrator.studies import design
+from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve, signal
 from orchestrator.studies.study import Output, Study
 
 NAN = float("nan")
@@ -45,12 +48,30 @@ def digest(data: bytes) -> str:
 
 
 @dataclass(frozen=True)
-class Payload:
-    """A study, its runs without the values of a sample, and their FMUs: all that another computer needs."""
+class PreparedStudy:
+    """A study, ready to run.
+
+    cases      the runs without the values of a sample, by options
+    archives   the FMUs of all runs
+    table      the samples, one row per run
+    samples    the same, in the order of the runs
+    warnings   doubtful values in the study
+    """
 
     study: Study
     cases: Mapping[Options, Job]
     archives: Mapping[Location, bytes]
+    table: pd.DataFrame
+    samples: Sequence[Sample]
+    warnings: tuple[str, ...] = ()
+
+
+def prepare(study: Study) -> PreparedStudy:
+    """Load the systems of a study and draw its samples; raises a Problem if the study is impossible."""
+    resolved, cases = resolve(study)
+    table, archives = design.table(resolved), archives_of(case.system for case in cases.values())
+    samples = design.runs(resolved, table, cases)
+    return PreparedStudy(resolved, cases, archives, table, samples, doubts(resolved, cases.values()))
 
 
 def limits_of(study: Study) -> Mapping[str, float]:
@@ -71,36 +92,39 @@ def limit_is_raised(reason: str, study: Study) -> bool:
 class StudyRuns:
     """The runs of a study on this computer: each in a process of its own, or several in lanes."""
 
-    def __init__(self, payload: Payload) -> None:
-        self._study, limits = payload.study, limits_of(payload.study)
-        self._runs = Runs([job.system for job in payload.cases.values()], payload.archives)
-        pairs = zip(payload.cases.items(), self._runs.systems, strict=True)
+    def __init__(self, prepared: PreparedStudy) -> None:
+        self._study, limits = prepared.study, limits_of(prepared.study)
+        self._runs = Runs([job.system for job in prepared.cases.values()], prepared.archives)
+        pairs = zip(prepared.cases.items(), self._runs.systems, strict=True)
         self._jobs = {
             options: replace(job, system=system, options={**job.options, **limits})
             for (options, job), system in pairs
         }
-        self._lanes = dict[Options, Lanes | None]()
+        self._lanes = dict[Options, Lanes]()
         self.stop, self.close = self._runs.stop, self._runs.close
 
-    def size(self, options: Options) -> int:
-        """How many samples with these options are run together: those of a group in lanes, or one."""
-        if options not in self._lanes:
-            self._lanes[options] = None
-            with suppress(Problem):
-                job = self._jobs[options]
-                self._lanes[options] = Lanes(job, [job.system.port(n) for n in job.signals or ()])
-        return LANES if self._lanes[options] else 1
+    def units(self, samples: Sequence[Sample]) -> list[Unit]:
+        """The samples that are run together: where possible groups in lanes, of samples with equal options.
+
+        The groups do not depend on which samples have results already, so neither do the results.
+        """
+        units = list[Unit]()
+        for options, some in grouped(samples, attrgetter("options")).items():
+            together, job = 1, self._jobs[options]
+            if len(some) >= LANES:  # fewer are not worth a compilation
+                with suppress(Problem):
+                    self._lanes[options] = Lanes(job, [job.system.port(n) for n in job.signals or ()])
+                    together = LANES
+            units += [tuple(some[i : i + together]) for i in range(0, len(some), together)]
+        return sorted(units, key=lambda unit: unit[0].run)
 
     def run(self, unit: Unit) -> list[RunOutcome]:
         """Run samples with equal options, several in lanes. One that fails there is run again by itself."""
-        began = time.perf_counter()
         found: dict[int, RunOutcome] = {}
         if len(unit) > 1:
             with suppress(Problem):  # a value is not allowed: its own run tells the reason
                 found = self._in_lanes(unit)
-        outcomes = [found.get(sample.run) or self._alone(sample) for sample in unit]
-        wall = (time.perf_counter() - began) / len(unit)
-        return [replace(outcome, wall=wall) for outcome in outcomes]
+        return [found.get(sample.run) or self._alone(sample) for sample in unit]
 
     def _alone(self, sample: Sample) -> RunOutcome:
         """Run a sample; an error becomes its outcome."""
@@ -123,7 +147,6 @@ class StudyRuns:
         study, options = self._study, unit[0].options
         job, lanes = self._jobs[options], self._lanes[options]
         values, count = machine_values(job, {n: [float(s.factors[n]) for s in unit] for n in unit[0].factors})
-        assert lanes is not None
         rows = [np.full((count, job.times.rows), np.nan) for _ in lanes.signals]
         found: dict[int, RunOutcome] = {}
         ends = self._runs.together(lanes, values, rows, 0, count, job.options)
@@ -150,7 +173,6 @@ class RunOutcome:
     outputs  shape (outputs,); NaN if the run failed or the window contains no point
     bands    signals at `band_times`, shape (signals, times); None if the run failed or no signal is stored
     start    time of the first point [s]
-    wall     wall time [s]; not part of the results
     """
 
     run: int
@@ -159,7 +181,6 @@ class RunOutcome:
     outputs: Array
     bands: Array | None = None
     start: float = 0.0
-    wall: float = 0.0
     energy_error: float = NAN
 
 

@@ -8,11 +8,10 @@
     bands.parquet  signals stored over time, for the bands of the report: run, time [s], a column per signal
     runs.parquet   one row per run: run, status, reason, energy_error (largest energy error of the coupling,
                    over the energy that its bond exchanged), then the columns that `study` lists
-    log.csv        run, status and wall time [s]; not part of the results
     report.html, analysis.json   the analysis, written by orchestrator/studies/report
 
-Each file is written completely or not at all, except log.csv, to which each batch is appended. The results
-are written after the last run, and do not depend on how often the study was started.
+Each file is written completely or not at all. The results are written after the last run, and do not depend
+on how often the study was started.
 """
 
 from __future__ import annotations
@@ -37,11 +36,11 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import PARTIAL, put, write_whole
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import quote_key
-from orchestrator.studies.runs import STOPPED, Payload, RunOutcome, band_times, digest, limit_is_raised
+from orchestrator.studies import design
+from orchestrator.studies.runs import STOPPED, PreparedStudy, RunOutcome, band_times, digest, limit_is_raised
 from orchestrator.studies.study import Choice, Factor, Output, Study
 
-NAMES = ("runs.parquet", "bands.parquet", "report.html", "analysis.json", "log.csv")
-LOG = "run,status,seconds\n"  # first line of log.csv
+NAMES = ("runs.parquet", "bands.parquet", "report.html", "analysis.json")
 GROUP = 64  # runs per row group of bands.parquet, a few megabytes
 LONG = 200  # characters of two values together above which they are not shown
 DAMAGED = "expected a checksum of the content in the name of the file, got another or none"
@@ -125,19 +124,20 @@ class Store:
     A batch is one file in parts/ with a row for each run; a stored signal is a column of lists there.
     """
 
-    def __init__(
-        self, folder: Path, study: Study, fingerprint: Mapping[str, Any], warnings: Sequence[str] = ()
-    ) -> None:
-        """fingerprint: that of the study. Refuses a folder with runs of another study."""
-        self.folder, self.study, self._parts = folder, study, folder / "parts"
-        file = folder / "study.json"
+    def __init__(self, folder: Path, prepared: PreparedStudy) -> None:
+        """Refuses a folder with runs of another study."""
+        self.folder, self._prepared, self._parts = folder, prepared, folder / "parts"
+        self.study = study = prepared.study
+        file, fingerprint = folder / "study.json", self._fingerprint()
         if not file.exists() and (others := [name for name in NAMES if (folder / name).exists()]):
             message = f"contains {others[0]} but no study.json, so it is not the folder of a study"
             raise Problem(f"{folder}: {message}")
         if file.exists() and (changed := changes(_read_study_json(file), fingerprint)):
             raise Problem(f"{folder}: holds runs of another study: {changed}; --fresh deletes them")
         # study.json is written first, as it identifies the other files
-        text = json.dumps({"title": study.title, "warnings": list(warnings), **fingerprint}, indent=1)
+        text = json.dumps(
+            {"title": study.title, "warnings": list(prepared.warnings), **fingerprint}, indent=1
+        )
         write_whole(file, text)
         if study.source:
             write_whole(folder / "study.toml", Path(study.source).read_bytes())
@@ -185,24 +185,19 @@ class Store:
             lists = [np.empty(0) if r.bands is None else r.bands[i] for r in batch]
             columns[f"{BAND}{name}"] = pa.array(lists, pa.list_(pa.float64()))
         self._put(pa.table(columns))
-        log_file = self.folder / "log.csv"
-        try:
-            with log_file.open("a", encoding="utf-8") as log:
-                if not log.tell():
-                    log.write(LOG)
-                log.writelines(f"{r.run},{r.status},{r.wall:.6f}\n" for r in batch)
-        except OSError as error:  # such as a full disk; the log is not part of the results
-            message = f"{error.strerror or error}: the times of {len(batch)} runs are left out"
-            logging.getLogger(__name__).warning("%s: cannot be written: %s", log_file, message)
 
-    def finish(self, inputs: Mapping[str, pa.Array], units: Mapping[str, str]) -> None:
-        """Write the results; `inputs`: columns with samples and start values, in the order of the runs."""
+    def finish(self) -> None:
+        """Write the results, with samples and start values."""
         if self.study.bands:
             put(self.folder / "bands.parquet", self._write_bands)
         names = ["run", "status", "reason", "energy_error", *(o.column for o in self.study.outputs)]
         runs = pa.concat_tables([_read(file, names) for file in self._files()]).sort_by("run")
-        runs = pa.table({**{name: runs[name] for name in names}, **inputs})
-        units = {**units, **{o.column: o.unit for o in self.study.outputs}}
+        starts, units = design.starts(self.study, self._prepared.cases, self._prepared.samples)
+        table = self._prepared.table.items()
+        samples = {name: pa.array(column, from_pandas=True) for name, column in table}
+        runs = pa.table({**{name: runs[name] for name in names}, **samples, **starts})
+        units |= {f.column: f.unit for f in self.study.factors if not f.relative}
+        units |= {o.column: o.unit for o in self.study.outputs}
         write = partial(pq.write_table, _with_units(runs, units), write_page_checksum=True)
         put(self.folder / "runs.parquet", write)
         if any(STOPPED.match(reason) for reason in runs["reason"].to_pylist()):
@@ -227,6 +222,32 @@ class Store:
                 time = np.concatenate([band_times(self.study, start, count) for start, count in starts])
                 run = np.repeat(some["run"].to_numpy(), counts)
                 writer.write_table(pa.table([run, time, *(x.flatten() for x in lists)], schema=schema))
+
+    def _fingerprint(self) -> dict[str, Any]:
+        """The study and the hashes of everything else that determines its results, for study.json.
+
+        The key "files" holds the hashes: of FMUs, start values, scenarios, connections (with coupling and
+        step) and samples, each under the name that a message about a change shows.
+        """
+        study, prepared, files = self.study, self._prepared, dict[str, str]()
+        digests = {source: digest(archive) for source, archive in prepared.archives.items()}
+        for options, case in prepared.cases.items():
+            chosen = {c.name: f" {o}" for c, o in zip(study.choices, options, strict=True)}
+            each = ", ".join(f"{c.name}={o}" for c, o in zip(study.choices, options, strict=True))
+            combination = f" with {each}" if each else ""
+            for name, component in case.system.components.items():
+                if component.source is not None:
+                    files[f"the FMU of {name}{chosen.get(name, '')}"] = digests[component.source]
+                starts = repr(sorted(component.start.items())).encode()
+                files[f"the start values of {name}{combination}"] = digest(starts)
+            if case.scenario is not None:
+                columns = repr(sorted((str(p), c) for p, c in case.scenario.columns.items())).encode()
+                data = b"".join(np.ascontiguousarray(array).tobytes() for array in case.scenario.table.arrays)
+                files[f"the scenario{chosen.get('scenario', '')}"] = digest(columns + data)
+            connections = repr((case.system.connections, case.system.coupling, case.system.step)).encode()
+            files[f"the connections{combination}"] = digest(connections)
+        samples = digest(prepared.table.to_csv(float_format="%.17g").encode())
+        return {"study": to_json(study), "files": {**files, "the samples": samples}}
 
     def _files(self) -> list[Path]:
         return sorted(self._parts.glob("batch-*.parquet"))
@@ -265,33 +286,6 @@ def _units(schema: pa.Schema) -> dict[str, str]:
 
 
 # ---- what determines the results
-
-
-def fingerprint(payload: Payload, table: pd.DataFrame) -> dict[str, Any]:
-    """The study and the hashes of everything else that determines its results, for study.json.
-
-    The key "files" holds the hashes: of FMUs, start values, scenarios, connections (with coupling and step)
-    and samples, each under the name that a message about a change shows.
-    """
-    study, files = payload.study, dict[str, str]()
-    digests = {source: digest(archive) for source, archive in payload.archives.items()}
-    for options, case in payload.cases.items():
-        chosen = {c.name: f" {o}" for c, o in zip(study.choices, options, strict=True)}
-        each = ", ".join(f"{c.name}={o}" for c, o in zip(study.choices, options, strict=True))
-        combination = f" with {each}" if each else ""
-        for name, component in case.system.components.items():
-            if component.source is not None:
-                files[f"the FMU of {name}{chosen.get(name, '')}"] = digests[component.source]
-            starts = repr(sorted(component.start.items())).encode()
-            files[f"the start values of {name}{combination}"] = digest(starts)
-        if case.scenario is not None:
-            columns = repr(sorted((str(p), c) for p, c in case.scenario.columns.items())).encode()
-            data = b"".join(np.ascontiguousarray(array).tobytes() for array in case.scenario.table.arrays)
-            files[f"the scenario{chosen.get('scenario', '')}"] = digest(columns + data)
-        connections = repr((case.system.connections, case.system.coupling, case.system.step)).encode()
-        files[f"the connections{combination}"] = digest(connections)
-    samples = digest(table.to_csv(float_format="%.17g").encode())
-    return {"study": to_json(study), "files": {**files, "the samples": samples}}
 
 
 def to_json(study: Study) -> dict[str, Any]:

@@ -18,14 +18,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import isfinite, log2, prod
 from pathlib import Path, PurePath
-from typing import Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import SYSTEMS, find, require
 from orchestrator.base.options import checked, declarations, seconds
 from orchestrator.base.text import brief
-from orchestrator.base.toml import Rule, Table, is_number, quote_key
+from orchestrator.base.toml import Rule, Table, quote_key
 from orchestrator.base.units import number_and_unit
 from orchestrator.engine.arguments import CoupledArguments, RunArguments
 from orchestrator.ssp.coupling import CouplingArguments, take_coupling
@@ -71,7 +71,9 @@ class Factor:
     kind: ClassVar[str] = "factor"
 
     def __post_init__(self) -> None:
-        Table(self.key, {"distribution": self.distribution}).one_of("distribution", DISTRIBUTIONS)
+        if self.distribution not in DISTRIBUTIONS:
+            expected = f"expected one of {', '.join(DISTRIBUTIONS)}"
+            raise Problem(f"{self.key}: distribution: {expected}, got {self.distribution!r}")
         numbers = Table(self.key, dict(self.numbers)).allow_only(DISTRIBUTIONS[self.distribution])
         floats: dict[str, Any] = {}
         for name in DISTRIBUTIONS[self.distribution]:
@@ -109,7 +111,7 @@ def _impossible(distribution: str, n: Mapping[str, Any]) -> tuple[str, str] | No
         return "mean", "a positive number"
     if "sd" in n and not n["sd"] > 0:
         return "sd", "a positive number"
-    if distribution == "values" and len(set(n["values"])) < len(n["values"]):
+    if distribution == "values" and len(set(n["values"])) < max(len(n["values"]), 1):
         return "values", "different numbers"
     return None
 
@@ -129,7 +131,11 @@ class Choice:
     kind: ClassVar[str] = "choice"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "options", tuple(self.options))
+        options = tuple(self.options)
+        if not options or "" in options or len(set(options)) < len(options):
+            expected = "a text or a list of different texts"
+            raise Problem(f"choices: {self.name}: expected {expected}, got {[*options]}")
+        object.__setattr__(self, "options", options)
 
     @property
     def column(self) -> str:
@@ -287,7 +293,9 @@ class Study:
                 raise Problem(f"{factor.key}: distribution: expected values, as the method is grid, {got}")
         for output in self.outputs:
             where = f"outputs.{quote_key(output.name)}"
-            Table(where, vars(output)).one_of("measure", MEASURES)
+            if output.measure not in MEASURES:
+                expected = f"expected one of {', '.join(MEASURES)}"
+                raise Problem(f"{where}: measure: {expected}, got {output.measure!r}")
             if output.start is not None and output.stop is not None and not output.start <= output.stop:
                 expected = f"at least the start {output.start:g} s"
                 raise Problem(f"{where}: stop: expected {expected}, got {output.stop:g} s")
@@ -316,102 +324,121 @@ def levels(dimension: Factor | Choice) -> int:
 
 RUN = ("stop", "step", "master", "record_step", "accuracy", "time_limit", "memory_limit")  # options of `run`
 OPTIONS = tuple(sorted({"cut", *declarations(CouplingArguments)} - {"master", "factors"}))
-TABLES = ("factors", "choices", "outputs", "fixed")
-KEYS = ("title", "system", "method", "runs", "seed", *RUN, "band_step", *OPTIONS, *TABLES)
+OF_STUDY = (*RUN, "band_step", *OPTIONS)  # keys whose values `Study` checks itself
+
+Text = Annotated[str, Rule("a text", bool)]
 
 
-TEXT = Rule("a text", lambda v: isinstance(v, str) and v != "")
-NUMBER = Rule("a number", is_number)
-TRUTH = Rule("true or false", lambda v: isinstance(v, bool))
-TEXTS = Rule("a text or a list of texts", lambda v: TEXT.holds(v) or _is_list(v, TEXT))
-NUMBERS = Rule("a list of numbers", lambda v: _is_list(v, NUMBER))
-COUNT = Rule("a whole number of at least 1", lambda v: type(v) is int and v >= 1)
-SEED = Rule("a whole number of at least 0", lambda v: type(v) is int and v >= 0)
+@dataclass(frozen=True)
+class _Fixed:
+    value: float
+    unit: Text = ""
 
 
-def _is_list(value: Any, rule: Rule) -> bool:
-    """True for a list that is not empty, if a rule holds for each item."""
-    return isinstance(value, list) and value != [] and all(map(rule.holds, value))
+@dataclass(frozen=True)
+class _Factor:
+    """A table of `factors`; the distribution says which of the numbers it has."""
+
+    distribution: str
+    relative: bool = False
+    unit: Text = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    mean: float | None = None
+    sd: float | None = None
+    mode: float | None = None
+    values: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class _Choice:
+    options: str | tuple[str, ...]
+    sampled: bool = False
+
+
+@dataclass(frozen=True)
+class _Output:
+    signal: Annotated[str, Rule("the name of a signal", bool)]
+    measure: Measure
+    start: float | str | None = None
+    stop: float | str | None = None
+    band: bool = False
+
+
+@dataclass(frozen=True)
+class _File:
+    """The keys of a file that `Study` does not check."""
+
+    system: Annotated[str, Rule("an .ssp, .ssd or .fmu file", bool)]
+    method: Method
+    title: Text = ""
+    runs: Annotated[int, Rule("a whole number of at least 1", lambda v: v >= 1)] = 0
+    seed: Annotated[int, Rule("a whole number of at least 0", lambda v: v >= 0)] = 0
+    factors: Mapping[str, _Factor] = field(default_factory=dict)
+    choices: Mapping[str, str | tuple[str, ...] | _Choice] = field(default_factory=dict)
+    outputs: Mapping[str, _Output] = field(default_factory=dict)
+    fixed: Mapping[str, float | str | _Fixed] = field(default_factory=dict)
 
 
 def read(file: str | Path) -> Study:
     """The study in a TOML file; paths in it are relative to the file."""
-    file = require(file, (".toml",))
-    table = toml.read_file(file).allow_only(KEYS)
-    table.require("system", "an .ssp, .ssd or .fmu file")
-    method = table.one_of("method", METHODS)
-    if method != "grid":
+    path = require(file, (".toml",))
+    table = toml.read_file(path).allow_only((*_File.__dataclass_fields__, *OF_STUDY))
+    if table.data.get("method") != "grid":
         table.require("runs", "a whole number")
-    with Study(source=str(file)).located():
+    own = {name: value for name, value in table.data.items() if name not in OF_STUDY}
+    found = toml.read_dataclass(_File, Table(table.where, own))
+    with Study(source=str(path)).located():
         study = Study(
-            title=table.value("title", TEXT) or file.stem,
-            system=table.value("system", TEXT),
-            method=method,
-            runs=table.value("runs", COUNT) or 0,
-            seed=table.value("seed", SEED) or 0,
+            title=found.title or path.stem,
+            system=found.system,
+            method=found.method,
+            runs=found.runs,
+            seed=found.seed,
             **{name: table.data[name] for name in (*RUN, "band_step") if name in table.data},
             options={name: table.data[name] for name in OPTIONS if name in table.data},
-            factors=tuple(_factor(name, t) for name, t in table.tables("factors").items()),
-            choices=tuple(_choice(table.table("choices"), name) for name in table.table("choices").data),
-            outputs=tuple(_output(name, t) for name, t in table.tables("outputs").items()),
-            fixed={name: _start(table.table("fixed"), name) for name in table.table("fixed").data},
-            folder=str(file.parent),
-            source=str(file),
+            factors=tuple(_factor(name, factor) for name, factor in found.factors.items()),
+            choices=tuple(_choice(name, choice) for name, choice in found.choices.items()),
+            outputs=tuple(_output(name, output) for name, output in found.outputs.items()),
+            fixed={name: _start(name, value) for name, value in found.fixed.items()},
+            folder=str(path.parent),
+            source=str(path),
         )
         study.check()
     return study
 
 
-def _factor(name: str, table: Table) -> Factor:
-    distribution = table.one_of("distribution", DISTRIBUTIONS)
-    table.allow_only(("distribution", "relative", "unit", *DISTRIBUTIONS[distribution]))
-    relative, unit = table.value("relative", TRUTH) or False, table.value("unit", TEXT)
-    if relative and unit:
-        raise table.problem("unit", "none, as the numbers are relative")
-    rules = {key: NUMBERS if key == "values" else NUMBER for key in DISTRIBUTIONS[distribution]}
-    numbers = {key: table.value(key, rule) for key, rule in rules.items()}
-    given = {key: number for key, number in numbers.items() if number is not None}
-    return Factor(name, distribution, given, relative, unit or "")
+def _factor(name: str, found: _Factor) -> Factor:
+    given = vars(found).items()
+    own = ("distribution", "relative", "unit")
+    numbers = {key: value for key, value in given if key not in own and value is not None}
+    factor = Factor(name, found.distribution, numbers, found.relative, found.unit)
+    if factor.relative and factor.unit:
+        expected = "expected none, as the numbers are relative"
+        raise Problem(f"{factor.key}: unit: {expected}, got {factor.unit!r}")
+    return factor
 
 
-def _choice(table: Table, name: str) -> Choice:
-    """Read a list of options, or a table with `options` and `sampled`."""
-    if not isinstance(table.data[name], dict):
-        return Choice(name, _texts(table, name))
-    inner = Table(f"{table.where}.{name}", table.data[name]).allow_only(("options", "sampled"))
-    inner.require("options", "a list of texts")
-    return Choice(name, _texts(inner, "options"), inner.value("sampled", TRUTH) or False)
+def _choice(name: str, found: str | tuple[str, ...] | _Choice) -> Choice:
+    choice = found if isinstance(found, _Choice) else _Choice(found)
+    options = (choice.options,) if isinstance(choice.options, str) else choice.options
+    return Choice(name, options, choice.sampled)
 
 
-def _texts(table: Table, key: str) -> tuple[str, ...]:
-    """Read a text or a list of different texts."""
-    value = table.value(key, TEXTS)
-    texts = [value] if isinstance(value, str) else value
-    if len(set(texts)) < len(texts):
-        raise table.problem(key, "different texts")
-    return tuple(texts)
+def _output(name: str, found: _Output) -> Output:
+    where = f"outputs.{quote_key(name)}"
+    start, stop = (seconds(getattr(found, end), f"{where}: {end}") for end in ("start", "stop"))
+    return Output(name, found.signal, found.measure, start, stop, found.band)
 
 
-def _start(table: Table, name: str) -> float | tuple[float, str]:
-    """Read a number, a text such as "180bar", or a table with `value` and `unit`."""
-    value = table.data[name]
-    if isinstance(value, str):
-        number_text, unit_text = number_and_unit(value)
-        if unit_text:
-            return float(number_text), unit_text
-    if isinstance(value, dict):
-        inner = Table(f"{table.where}.{name}", value).allow_only(("value", "unit"))
-        inner.require("value", "a number")
-        number, unit = float(inner.value("value", NUMBER)), inner.value("unit", TEXT)
-        return (number, unit) if unit else number
-    if not is_number(value):
-        raise table.problem(name, 'a number, a text such as "180bar", or a table of value and unit')
-    return float(value)
-
-
-def _output(name: str, table: Table) -> Output:
-    table.allow_only(("signal", "measure", "start", "stop", "band"))
-    table.require("signal", "the name of a signal")
-    signal, measure = table.value("signal", TEXT), table.one_of("measure", MEASURES)
-    start, stop = (seconds(table.data.get(end), f"{table.where}: {end}") for end in ("start", "stop"))
-    return Output(name, signal, measure, start, stop, table.value("band", TRUTH) or False)
+def _start(name: str, value: float | str | _Fixed) -> float | tuple[float, str]:
+    """A number, and its unit if there is one."""
+    if isinstance(value, _Fixed):
+        return (value.value, value.unit) if value.unit else value.value
+    if not isinstance(value, str):
+        return value
+    number, unit = number_and_unit(value)
+    if not unit:
+        expected = 'expected a number, a text such as "180bar", or a table of value and unit'
+        raise Problem(f"fixed: {name}: {expected}, got {value!r}")
+    return float(number), unit

@@ -6,7 +6,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 from fmpy.ssp.simulation import simulate_ssp
-from fmpy.ssp.ssd import read_ssd, read_ssv, validate_tree
+from fmpy.ssp.ssd import read_ssd, read_ssv
 from kit.mistakes import problem, table
 from lxml import etree
 
@@ -59,17 +59,12 @@ def test_structure_is_valid_and_complete(system):
     assert [(p.get("name"), p[0].get("value")) for p in second.iter("{*}Parameter")] == [("gain", "4")]
 
 
-def test_parameter_sets_and_dictionary_are_valid_and_complete(system):
+def test_parameter_sets_are_valid_and_complete(system):
     """Every set is a file that FMPy validates against its schema; default sets are bound."""
     bindings = structure(system).iterfind("{*}System/{*}ParameterBindings/{*}ParameterBinding[@source]")
     assert [b.get("source") for b in bindings] == ["resources/slow.ssv"]
     found = {p.name: (p.value, p.unit) for p in read_ssv(str(system), "resources/slow.ssv").parameters}
     assert found == {"first.gain": ("0.1", "1"), "second.gain": ("0.2", "1")}
-    entries = etree.fromstring(zipfile.ZipFile(system).read("resources/signals.ssb"))
-    validate_tree(entries, "SystemStructureSignalDictionary.xsd")
-    signals = {e.get("name"): e[0].get("unit") for e in entries.iterfind("{*}DictionaryEntry")}
-    assert signals["second.mixed"] == "1"
-    assert {name.split(".")[0] for name in signals} == {"first", "second", "product"}
 
 
 def structure(system):
@@ -108,7 +103,7 @@ def test_impossible_sets_are_refused_by_name(fmus, tmp_path, options, words):
     assert words in problem(lambda: write_ssp(assemble(fmus, WIRES), tmp_path / "x.ssp", **options))
 
 
-SCHEMAS = {"ssd": "Description", "ssv": "ParameterValues", "ssb": "SignalDictionary"}
+SCHEMAS = {"ssd": "Description", "ssv": "ParameterValues"}
 
 
 def test_version_2_is_valid_against_its_schema(unpacked, tmp_path):
@@ -129,5 +124,3 @@ def test_version_2_is_valid_against_its_schema(unpacked, tmp_path):
                 schema.assertValid(etree.fromstring(archive.read(name)))
     types = {c[0].tag.rpartition("}")[2] for c in structure(system).iter("{*}Connector")}
     assert types == {"Float64"}
-    dictionary = structure(system).find("{*}System/{*}SignalDictionaries/{*}SignalDictionary")
-    assert dictionary.get("source") == "resources/signals.ssb"

@@ -49,7 +49,7 @@ def test_an_interrupt_leaves_the_machines_that_are_complete(built, monkeypatch, 
         raise KeyboardInterrupt
 
     batches = import_module("orchestrator.lanes.batch")
-    monkeypatch.setattr(batches, "in_threads", interrupted)
+    monkeypatch.setattr(batches, "many", interrupted)
     with pytest.raises(Interrupted) as caught:
         batch(built / "harvester.ssp", MASSES, stop=0.01, record="manipulator.boom_angle", lanes=lanes)
     assert caught.value.result.status.tolist() == ["interrupted"] * 3

@@ -2,7 +2,7 @@
 
 import pytest
 
-from orchestrator.lanes.many import in_threads
+from orchestrator.lanes.many import many
 
 
 def square(task):
@@ -16,6 +16,6 @@ def test_outcomes_before_an_exception_are_kept(interval):
     """Also those that wait for the next interval; the tasks that run are told to stop, once."""
     kept, stops = [], []
     with pytest.raises(ValueError, match="3"):
-        in_threads(square, range(4), kept.extend, lambda: stops.append(1), 1, interval)
+        many(square, range(4), kept.extend, lambda: stops.append(1), 1, interval)
     assert sorted(kept) == [0, 1, 4]
     assert stops == [1]

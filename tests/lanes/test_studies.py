@@ -8,7 +8,7 @@ from kit import shards
 from kit.mistakes import problem
 
 from orchestrator.studies import Choice, Factor, Output, Study, store, sweep
-from orchestrator.studies.parameter_study import prepare, units_of
+from orchestrator.studies.parameter_study import prepare
 from orchestrator.studies.runs import StudyRuns
 
 MASS = Factor("manipulator.head_mass", "uniform", {"minimum": 300, "maximum": 900})
@@ -34,13 +34,13 @@ def results(study, tmp_path_factory):
 def begun(study):
     """The study, ready to run, and its runs."""
     prepared = prepare(study)
-    return prepared, StudyRuns(prepared.payload)
+    return prepared, StudyRuns(prepared)
 
 
 def test_a_study_in_lanes_has_the_results_of_single_runs(study, results):
     """Each output, and the stored signals; the difference is that of the lanes, 1e-11 of the range."""
     prepared, runs = begun(study)
-    assert [len(unit) for unit in units_of(prepared, runs.size)] == [8, 8, 4]
+    assert [len(unit) for unit in runs.units(prepared.samples)] == [8, 8, 4]
     assert set(results.table["status"]) == {"ok"}
     for run in (0, 7, 19):
         (single,) = runs.run((prepared.samples[run],))
@@ -54,10 +54,9 @@ def test_a_study_in_lanes_has_the_results_of_single_runs(study, results):
 def test_the_results_do_not_depend_on_the_number_of_workers_or_on_an_interruption(study, results, tmp_path):
     """Bit for bit: two workers, and one after a stop when two runs of a group were stored."""
     prepared, runs = begun(study)
-    unit = units_of(prepared, runs.size)[1]
+    unit = runs.units(prepared.samples)[1]
     (tmp_path / "stopped").mkdir()
-    fingerprint = store.fingerprint(prepared.payload, prepared.table)
-    stored = store.Store(tmp_path / "stopped", prepared.payload.study, fingerprint)
+    stored = store.Store(tmp_path / "stopped", prepared)
     stored.add(runs.run(unit)[2:4])
     assert stored.done() == {10, 11}
     assert sweep(study, tmp_path / "stopped", workers=1).table.equals(results.table)
@@ -79,16 +78,11 @@ def test_a_run_that_fails_in_lanes_has_the_reason_of_a_single_run(study, tmp_pat
     assert results.table["reason"].iloc[-1] == single.reason
 
 
-def test_a_cluster_runs_one_sample_at_a_time(study):
-    """Its computers may have no compiler, and other processors."""
-    assert {len(unit) for unit in units_of(prepare(study))} == {1}
-
-
 @shards.machine
 def test_the_accuracy_of_a_study(study, tmp_path):
     """Coupling and step follow from the accuracy, and the stored signals of all runs have it."""
     study = replace(study, stop=1.0, accuracy=1e-3)
-    (case,) = prepare(study).payload.cases.values()
+    (case,) = prepare(study).cases.values()
     assert case.system.step > 1e-3
     assert case.options["tolerance"] == pytest.approx(1.5e-5)
     found, true = (

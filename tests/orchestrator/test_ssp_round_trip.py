@@ -121,7 +121,7 @@ def test_other_resources_are_written_again(gains, tmp_path, unpacked):
     system = replace(system, components={"p": system.components["p"]})
     second = write_ssp(system, tmp_path / "second.ssp", resources={"view.toml": b"title = 'other'"})
     kept = load(second).resources
-    assert sorted(kept) == ["cold.ssv", "notes/readme.txt", "p.fmu", "signals.ssb", "view.toml"]
+    assert sorted(kept) == ["cold.ssv", "notes/readme.txt", "p.fmu", "view.toml"]
     assert kept["view.toml"].read() == b"title = 'other'"
     assert kept["notes/readme.txt"].read() == RESOURCES["notes/readme.txt"]
     assert load(gains[0]).resources == {}

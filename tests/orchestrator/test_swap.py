@@ -144,16 +144,10 @@ def test_rate_ports_may_be_missing(fmus):
         assert lost in str(result.card.notes)
 
 
-def test_a_rate_is_known_by_its_name_only_beside_what_it_changes(fmus):
-    """`u_rate` beside `u`, not a `flow_rate` alone; of position, speed, acceleration the last."""
-    undeclared = edited(fmus["drift"], "undeclared", (' derivative="1"', ""))
-    plain = edited(undeclared, "plain", renamed("u_rate"))
-    files = {"v": fmus.make("source", "speed", units={"y": "m/s"}), "d": undeclared}
-    assert with_swaps(assemble(files, ["v.y -> d.u_rate"]), {"d": plain}).connections == ()
-    flow = edited(undeclared, "flow", renamed("u", "level"), renamed("u_rate", "flow_rate"))
-    alone = assemble({**files, "d": flow}, ["v.y -> d.flow_rate"])
-    problem(lambda: with_swaps(alone, {"d": plain}), r"expected input flow_rate \[m/s\], got none")
-    system = assemble({"v": files["v"], "g": fmus["glide"]}, ["v.y -> g.velocity"])
+def test_a_rate_with_a_rate_of_its_own_is_needed(fmus):
+    """Of position, velocity and acceleration only the last may be missing."""
+    files = {"v": fmus.make("source", "speed", units={"y": "m/s"}), "g": fmus["glide"]}
+    system = assemble(files, ["v.y -> g.velocity"])
     with pytest.raises(Problem, match=r"expected input velocity \[m/s\], got none"):
         with_swaps(system, {"g": edited(fmus["glide"], "plain", renamed("velocity"))})
 

@@ -23,7 +23,7 @@ def note(form: str, content: str) -> str:
     for _ in range(2):  # pieces may contain others
         for name, piece in PIECES.items():
             text = text.replace(f"{{{name}}}", piece)
-    return text if form == "draft" else f"<ssd:Annotations>{text}</ssd:Annotations>"
+    return f"<ssd:Annotations>{text}</ssd:Annotations>"
 
 
 def placed(*places: list[str]) -> dict[str, str]:
@@ -33,7 +33,6 @@ def placed(*places: list[str]) -> dict[str, str]:
 
 FIXED = note("oms", "{fixed}")
 BASE = note("osp", "{base}")
-HINT = note("osp_bare", "{hint}")
 
 
 def ssd(start: str = "", **places: str) -> str:
@@ -56,7 +55,7 @@ def make(fmus, zip_ssp):
 def test_the_step_and_the_master_of_another_tool_are_followed(make, case):
     """As the annotation requests, with a note; without it the step would be that of the FMUs."""
     expected = {"master": "jacobi"} | FOLLOWED[case]
-    places, tool, step = expected.pop("places"), expected.pop("tool", ""), expected.pop("step")
+    places, tools, step = expected.pop("places"), expected.pop("tool").split(", "), expected.pop("step")
     system = load(make(**placed(*places)))
     coupling = Coupling(**expected)
     assert (system.coupling, system.step, system.refusal) == (coupling, step, "")
@@ -64,9 +63,9 @@ def test_the_step_and_the_master_of_another_tool_are_followed(make, case):
     assert result.coupling == coupling
     if coupling.adaptive is None:
         assert result.card.steps == 5  # of 0.02 s in 0.1 s
-    said = f"the annotation of {tool}" if tool else "SimulationInformation of a draft of SSP"
+    said = " and ".join(f"the annotation of {tool} in {system.source}" for tool in tools)
     (followed,) = (n for n in result.card.notes if n.startswith("coupled"))
-    assert followed == f"coupled according to {said} in {system.source}"
+    assert followed == f"coupled according to {said}"
 
 
 @table(__file__, "claims", "options, told")
@@ -78,17 +77,6 @@ def test_the_card_claims_no_more_than_was_followed(make, options, told):
     notes = [note for note in run(system, **own).card.notes if "annotation" in note]
     said = f"coupled according to the annotation of OMSimulator in {system.source}"
     assert notes == ([] if told == "nothing" else [said + told])
-
-
-def test_a_hint_for_one_component_is_named_as_such(make):
-    """All use its step, meant for one; beside the same step the annotation with the master is followed."""
-    system = load(make(in_component=HINT))
-    notes = run(system).card.notes
-    source = f"the annotation of libcosim in {system.source}"
-    assert f"all components use the step that {source} gives for a" in notes
-    assert not any("use the step" in note for note in run(system, step=0.05).card.notes)
-    system = load(make(in_component=HINT, experiment=BASE.replace("2e-2", "1e-2")))
-    assert (system.coupling, system.step, system.suggestion.components) == (JACOBI, 0.01, ())
 
 
 @pytest.mark.parametrize("case", REFUSED)
@@ -161,6 +149,14 @@ def test_an_annotation_in_a_nested_file_that_does_not_fit_is_refused(nest, outer
     path = nest(placed(*outer), placed(*inner))
     problem(lambda: run(path), told)
     assert run(path, step=0.05).card.steps == 2
+
+
+def test_an_element_of_a_draft_is_told(make):
+    """SSP never had `SimulationInformation`, so its step is not that of the run."""
+    draft = '<ssd:SimulationInformation><ssd:FixedStepMaster stepSize="2e-2"/></ssd:SimulationInformation>'
+    card = run(make(in_system=draft)).card
+    assert card.step == 1e-3
+    assert any(n.endswith("SimulationInformation: left out, no element of SSP") for n in card.notes)
 
 
 def test_our_own_annotation_wins(make):

@@ -2,16 +2,19 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from sweep.studies import FAILS, GAIN, run, study
 
 from orchestrator import run as single
+from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.parameter_study import sweep
 from orchestrator.studies.runs import MEASURES, measure
 from orchestrator.studies.study import MEASURES as NAMES
-from orchestrator.studies.study import Output
+from orchestrator.studies.study import Output, read
 
 
 def test_a_row_is_what_a_single_run_gives(gain, tmp_path):
@@ -79,3 +82,16 @@ def test_measures_see_their_window_only():
     # the mean of t from 0.2 to 0.6 is its middle; the trapezoidal rule is exact for a line, but for rounding
     assert measure(Output("y", "s", "mean", 0.2, 0.6), t, t) == pytest.approx(0.4, rel=1e-12, abs=0)
     assert math.isnan(measure(Output("y", "s", "mean", 2.0, 3.0), t, t))
+
+
+def test_studies_with_other_seeds_are_put_together(gain, tmp_path):
+    """Seeds share no sample, and the joined table is analysed as one study."""
+    file = read(study(tmp_path, GAIN, gain))
+    parts = [sweep(replace(file, seed=seed), tmp_path / str(seed)) for seed in (1, 2, 3)]
+    table = pd.concat([part.table for part in parts], ignore_index=True)
+    table["run"] = table.index
+    assert table["factor:gain.factor"].nunique() == 36
+    (found,) = analyse(replace(parts[0], table=table)).findings
+    assert found.spread.runs == 36
+    # y = 2 f, but for rounding
+    assert found.spread.mean == pytest.approx(2 * table["factor:gain.factor"].mean(), rel=1e-12)

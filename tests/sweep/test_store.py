@@ -6,7 +6,6 @@ from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from kit.mistakes import problem, table
 from sweep.studies import GAIN, content, run, study
@@ -39,7 +38,7 @@ def done(finished, tmp_path):
 def rows(finished):
     """Run -> outcome, computed apart from any folder."""
     ready = prepare(read(finished / "study.toml"))
-    with closing(StudyRuns(ready.payload)) as runs:
+    with closing(StudyRuns(ready)) as runs:
         return {sample.run: runs.run((sample,))[0] for sample in ready.samples}
 
 
@@ -48,8 +47,7 @@ def begun(file):
     """The folder of a study without runs, ready to take outcomes."""
     (file.parent / "out").mkdir()
     ready = prepare(read(file))
-    fingerprint = store.fingerprint(ready.payload, ready.table)
-    return store.Store(file.parent / "out", ready.payload.study, fingerprint)
+    return store.Store(file.parent / "out", ready)
 
 
 def test_a_finished_study_is_not_run_again(done):
@@ -65,18 +63,13 @@ def test_a_finished_study_is_not_run_again(done):
 
 
 def test_only_missing_runs_take_place(file, begun, rows, finished):
-    """A batch that is lost is run again, the others are not, whatever their order; the log stands apart."""
+    """A batch that is lost is run again, the others are not, whatever their order."""
     begun.add([rows[n] for n in (7, 2, 3)])
     (begun.folder / "parts" / f"batch-000000000.parquet{PARTIAL}").write_bytes(b"half a file")
     results, runs = run(file)
     assert runs == [0, 1, 4, 5, 6, 8, 9, 10, 11]
     assert content(begun.folder) == content(finished / "out")
     assert results.table["run"].tolist() == ALL
-    log = pd.read_csv(begun.folder / "log.csv")  # with one header for all batches
-    assert list(log) == ["run", "status", "seconds"]
-    assert sorted(log["run"]) == ALL
-    assert set(log["status"]) == {"ok"}
-    assert (log["seconds"] > 0).all()
 
 
 @table(__file__, "changes", "old, new, told")
@@ -216,11 +209,3 @@ def test_a_run_stopped_at_its_time_limit_runs_again(file):
     results, runs = run(file)
     assert runs == again
     assert set(results.table["status"]) == {"ok"}
-
-
-def test_a_log_that_cannot_be_written_is_left_out(begun, rows, caplog):
-    """It is not part of the results."""
-    (begun.folder / "log.csv").mkdir()
-    begun.add([rows[0]])
-    assert begun.done() == {0}
-    assert f"{begun.folder / 'log.csv'}: cannot be written: Is a directory" in caplog.text

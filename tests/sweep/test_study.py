@@ -7,7 +7,7 @@ from kit.mistakes import problem, table
 from sweep.studies import FACTOR, FAILS, GAIN, content, machine, refused, resolved, run, study
 
 from orchestrator.ssp import system
-from orchestrator.studies import Choice, Factor, Output, Study, read_results, read_study, store, sweep
+from orchestrator.studies import Choice, Factor, Output, Study, design, read_results, read_study, store, sweep
 from orchestrator.studies.cases import resolve
 from orchestrator.studies.parameter_study import prepare
 
@@ -107,8 +107,9 @@ def test_a_name_that_a_variant_lacks_costs_no_search(offset, monkeypatch):
     text, file = offset
     file.write_text(text + BENT, encoding="utf-8")
     monkeypatch.setattr(system, "suggest", lambda *_: pytest.fail("a search"))
-    inputs, _ = prepare(read_study(file)).inputs()
-    assert inputs["start:gain.offset"].null_count == 12
+    ready = prepare(read_study(file))
+    starts, _ = design.starts(ready.study, ready.cases, ready.samples)
+    assert starts["start:gain.offset"].null_count == 12
 
 
 def test_a_window_may_end_with_the_runs(file):

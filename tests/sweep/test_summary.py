@@ -59,7 +59,7 @@ def test_names_are_no_numbers(one: str, other: str, same: bool) -> None:
 
 
 def _rows(count: int, status: str = Status.OK) -> list[RunOutcome]:
-    return [RunOutcome(n, status, "", np.zeros(1), wall=0.1) for n in range(count)]
+    return [RunOutcome(n, status, "", np.zeros(1)) for n in range(count)]
 
 
 def test_a_terminal_sees_how_many_runs_are_left_and_failed() -> None:

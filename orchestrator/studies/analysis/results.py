@@ -24,7 +24,6 @@ HEAD = {
     "mu": "μ",
     "sigma": "\N{GREEK SMALL LETTER SIGMA}",
     "regression": "coefficient",
-    "rank_regression": "coefficient of ranks",
 }
 
 LONGEST_LABEL = 44  # characters

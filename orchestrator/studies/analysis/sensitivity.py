@@ -25,7 +25,6 @@ import itertools
 import numpy as np
 import pandas as pd
 from SALib.analyze import rbd_fast
-from scipy.stats import rankdata
 
 from orchestrator.data.table import Array
 from orchestrator.studies.analysis.morris_sobol import SEED, Rows, intervals, of_crossed, ordered
@@ -68,10 +67,9 @@ def from_sample(samples: OutputSamples) -> Sensitivity | str:
     measure = FIRST if fast else REGRESSION
     crossed = [Effect(e.name, e.kind, {measure: e.estimates[FIRST]}) for e in of_crossed(complete)]
     mean = complete.y.mean(axis=1)
-    fits = [LinearModel(complete, mean, ranks).fit if np.ptp(mean) > 0 else 0.0 for ranks in (False, True)]
-    reliable = fast or fits[0] >= LEAST_FIT
-    values, ranks = (f"{100 * fit:.0f} %" for fit in fits)
-    notes = [f"a linear model of the factors explains {values} of the variance, of ranks {ranks}"]
+    fit = LinearModel(complete, mean).fit if np.ptp(mean) > 0 else 0.0
+    reliable = fast or fit >= LEAST_FIT
+    notes = [f"a linear model of the factors explains {100 * fit:.0f} % of the variance"]
     if fast:
         notes.append("first order only: interactions of factors are not included")
     if missing:
@@ -83,7 +81,7 @@ def from_sample(samples: OutputSamples) -> Sensitivity | str:
         notes.append("the linear model does not fit: it cannot rank the factors")
     method, variance = FAST if fast else LINEAR, float(complete.y.var())
     effects = ordered(_effects(complete, fast) + crossed, measure)
-    quality = {"r_squared": fits[0], "r_squared_of_ranks": fits[1]}
+    quality = {"r_squared": fit}
     return Sensitivity(method, measure, count, variance, effects, quality, tuple(notes), reliable)
 
 
@@ -93,12 +91,9 @@ def _effects(samples: OutputSamples, fast: bool) -> list[Effect]:
     fraction = float(y.var()) / float(samples.y.var())
     constant = fraction < 1e-12
     first = _rbd_fast(samples, y, fraction) if fast and not constant else [ZERO] * len(samples.names)
-    models: dict[str, dict[str, float]] = {}
-    coefficients: dict[str, IntervalEstimate] = {}
-    if not constant:
-        linear, ranked = (LinearModel(samples, y, ranks) for ranks in (False, True))
-        models = {"regression": linear.values, "rank_regression": ranked.values}
-        coefficients = linear.intervals()
+    linear = None if constant else LinearModel(samples, y)
+    values = linear.values if linear else {}
+    coefficients = linear.intervals() if linear else {}
     directions = rank_correlations(samples, y)
     effects = []
     for i, dimension in enumerate(samples.dimensions):
@@ -110,32 +105,32 @@ def _effects(samples: OutputSamples, fast: bool) -> list[Effect]:
         if isinstance(dimension, Choice):
             first[i] = squared = ZERO if constant else _epsilon_squared(samples.x[:, i], y, fraction)
         estimates = {REGRESSION: squared, **({FIRST: first[i]} if fast else {})}
-        more = {key: values[name] for key, values in models.items() if name in values}
+        more = {"regression": values[name]} if name in values else {}
         effects.append(Effect(name, dimension.kind, estimates, more, directions[i]))
     return effects
 
 
 class LinearModel:
-    """A linear model of y, or of its ranks, in the factors that vary and in the options of choices.
+    """A linear model of y in the factors that vary and in the options of choices.
 
     values   standardised coefficients of factors, and of choices between two options, by name
     fit      R^2
     """
 
-    def __init__(self, samples: OutputSamples, y: Array, ranks: bool = False) -> None:
+    def __init__(self, samples: OutputSamples, y: Array) -> None:
         columns, self._names = list[Array](), list[str]()
         for dimension, label, x in zip(samples.dimensions, samples.names, samples.x.T, strict=True):
             if isinstance(dimension, Choice):
                 added = [(x == option).astype(float) for option in np.unique(x)[1:]]
             else:
-                added = [rankdata(x) if ranks else x] if np.ptp(x) > 0 else []
+                added = [x] if np.ptp(x) > 0 else []
             columns += added
             self._names += [label if len(added) == 1 else ""] * len(added)
         self.values, self.fit = dict[str, float](), 0.0
         if not columns:
             return
         self._x = np.column_stack(columns)
-        self._y = np.asarray(rankdata(y) if ranks else y, np.float64)
+        self._y = y
         values = self._coefficients(np.arange(len(self._y)))
         residual = _standard(self._y) - _standard(self._x) @ values
         self.values = {n: float(value) for n, value in zip(self._names, values, strict=True) if n}
