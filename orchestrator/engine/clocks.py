@@ -76,13 +76,13 @@ class Clocks:
 
     def _begun(self, port: Port, slave: RunningFmu, clock: FmuVariable) -> Timed:
         """A clock with its first tick; those of a countdown are told in event mode."""
-        interval = clock.fraction("interval")
         if clock.get("intervalVariability") == "countdown":
             return Timed(port, slave, clock, None, None)
+        interval, shift = clock.fraction("interval"), clock.fraction("shift") or Fraction(0)
         if interval is None:
-            interval = slave.first_intervals[clock.name]
+            interval, shift = slave.first_ticks[clock.name]
         self._check(port, interval, interval > 0)
-        return Timed(port, slave, clock, interval, self._start + (clock.fraction("shift") or 0))
+        return Timed(port, slave, clock, interval, self._start + shift)
 
     def _check(self, port: Port, interval: Fraction, right: bool) -> None:
         if not right:

@@ -33,6 +33,8 @@ from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
 UNUSED = ("sources/", "documentation/")  # by a running FMU
+INTERVAL = "GetIntervalDecimal", "GetIntervalFraction"
+SHIFT = "GetShiftDecimal", "GetShiftFraction"
 LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
 
@@ -42,7 +44,7 @@ class RunningFmu:
     event_mode   it has event mode between steps: variables that are not continuous are set there
     in_events    it is in event mode
     next_event   time of its next time event, as far as it has event mode between steps [s]
-    first_intervals   of clocks that tick by time and declare no interval [s]
+    first_ticks   interval and shift of clocks that tick by time and do not declare the interval [s]
     """
 
     event_mode = in_events = _asks = False
@@ -52,8 +54,8 @@ class RunningFmu:
         """`after`: see `FmuInstance`."""
         self.name, self.interface, self.log = name, interface, Log(name, interface.marks)
         self._label, self._stepping, self._after = f"{name} ({fmu})", False, after
-        self.first_intervals = dict[str, Fraction]()
-        self._clock_calls = dict[tuple[str, str], tuple[Call, Any]]()
+        self.first_ticks = dict[str, tuple[Fraction, Fraction]]()
+        self._clock_calls = dict[tuple[str, str], tuple[Call, Sequence[Any]]]()
         self._cleanup = ExitStack()
         try:
             self._open(fmu)
@@ -371,37 +373,52 @@ class RunningFmu:
 
     def tick(self, clock: str) -> None:
         """Let an input clock tick, in event mode."""
-        self._clock_call("SetClock", clock)[0]()
+        self._clock_call("SetClock", clock, ctypes.c_bool)[0]()
 
     def ticks(self, clock: str) -> bool:
         """Does an output clock tick?"""
-        call, ticks = self._clock_call("GetClock", clock)
+        call, (ticks,) = self._clock_call("GetClock", clock, ctypes.c_bool)
         call()
         return bool(ticks[0])
 
-    def _clock_call(self, function: str, clock: str) -> tuple[Call, Any]:
-        """A bound call of a clock, and its argument."""
+    def _clock_call(self, function: str, clock: str, *types: Any) -> tuple[Call, Sequence[Any]]:
+        """A bound call of a clock, made once, and its arguments, one value of each type, which begin as 1."""
         if (function, clock) not in self._clock_calls:
             references = self.fmu.references([self.interface.variables[clock].reference])
-            ticks = (ctypes.c_bool * 1)(function == "SetClock")
-            call = self.fmu.bound(function, *references, ticks, variables=[clock])
-            self._clock_calls[function, clock] = call, ticks
+            arguments = [(type_ * 1)(1) for type_ in types]
+            call = self.fmu.bound(function, *references, *arguments, variables=[clock])
+            self._clock_calls[function, clock] = call, arguments
         return self._clock_calls[function, clock]
 
     def interval(self, clock: FmuVariable) -> tuple[int, Fraction]:
         """fmi3IntervalQualifier and interval of a clock [s], as a fraction if the FMU has them."""
-        references, qualifiers = self.fmu.references([clock.reference]), (ctypes.c_int * 1)()
+        interval, qualifier = self._seconds(clock, *INTERVAL, ctypes.c_int)
+        return qualifier[0], interval
+
+    def shift(self, clock: FmuVariable) -> Fraction:
+        """Time from the start to the first tick of a clock [s], 0 if the FMU does not have it."""
+        if not any(map(self.fmu.library.has, SHIFT)):
+            return Fraction(0)
+        shift, _ = self._seconds(clock, *SHIFT)
+        if shift < 0:
+            got = f"got {float(shift):.9g} s"
+            raise Problem(f"{self.name}.{clock.name}: expected a shift of 0 s or more, {got}")
+        return shift
+
+    def _seconds(
+        self, clock: FmuVariable, as_decimal: str, as_fraction: str, *more: Any
+    ) -> tuple[Fraction, Any]:
+        """A time of a clock [s], exactly as the FMU gives it, and the last of the other results."""
         if clock.get("supportsFraction") == "true":
-            counters, resolutions = (ctypes.c_uint64 * 1)(), (ctypes.c_uint64 * 1)(1)
-            self.fmu.call(
-                "GetIntervalFraction", *references, counters, resolutions, qualifiers, variables=[clock.name]
-            )
-            return qualifiers[0], Fraction(counters[0], resolutions[0] or 1)
-        intervals = (ctypes.c_double * 1)()
-        self.fmu.call("GetIntervalDecimal", *references, intervals, qualifiers, variables=[clock.name])
-        if not np.isfinite(intervals[0]):
-            raise Problem(f"{self.name}.{clock.name}: expected an interval in seconds, got {intervals[0]}")
-        return qualifiers[0], Fraction(repr(intervals[0]))
+            call, results = self._clock_call(as_fraction, clock.name, ctypes.c_uint64, ctypes.c_uint64, *more)
+            call()
+            return Fraction(results[0][0], results[1][0] or 1), results[-1]
+        call, results = self._clock_call(as_decimal, clock.name, ctypes.c_double, *more)
+        call()
+        if not np.isfinite(seconds := results[0][0]):
+            name, what = f"{self.name}.{clock.name}", "a shift" if as_decimal in SHIFT else "an interval"
+            raise Problem(f"{name}: expected {what} in seconds, got {seconds}")
+        return Fraction(repr(seconds)), results[-1]
 
     def enter_events(self) -> None:
         """Enter event mode, at the end of a step."""
@@ -473,14 +490,24 @@ class CoSimulationFmu(RunningFmu):
         super().setup(start, stop, tolerance)
 
     def exit(self) -> None:
-        """Leave initialisation mode, with the first event if there is event mode, and enter step mode."""
+        """Leave initialisation mode, with the first event if there is event mode, and enter step mode.
+
+        Clocks tell before what is fixed there, and those of a changing interval after it.
+        """
+        clocks = [v for v in self.interface.of("input") if v.kind == "Clock"] if self.event_mode else []
+        asked = [v for v in clocks if v.fraction("interval") is None]
+        kinds = {v.name: v.get("intervalVariability") for v in asked}
+        for v in asked:
+            if kinds[v.name] in ("constant", "fixed", "tunable"):
+                shift = v.fraction("shift")
+                self.first_ticks[v.name] = self.interval(v)[1], self.shift(v) if shift is None else shift
         super().exit()
         if self.event_mode:
             self.in_events = True
-            clocks = [v for v in self.interface.of("input") if v.kind == "Clock"]
-            timed = [v for v in clocks if v.get("intervalVariability") not in ("triggered", "countdown")]
-            asked = [v for v in timed if v.fraction("interval") is None]
-            self.first_intervals = {v.name: self.interval(v)[1] for v in asked}
+            changing = [v for v in asked if kinds[v.name] == "changing"]
+            self.first_ticks |= {
+                v.name: (self.interval(v)[1], v.fraction("shift") or Fraction(0)) for v in changing
+            }
             self._settle()
 
     def close(self) -> None:

@@ -106,6 +106,33 @@ def test_intervals_that_change(unit):
     np.testing.assert_allclose(ticks(asked, "unit.tick"), [0.25, 0.5], atol=ROUNDING)
 
 
+FRACTIONS = 'intervalVariability="{}" supportsFraction="true"'
+
+
+def test_a_first_tick_that_the_fmu_tells(unit):
+    """Interval and shift of the FMU where the description has none, also as fractions; a shift < 0 is refused."""
+    given = {"unit.period": 0.2, "unit.delay": 0.15}
+    found = ticks(run(str(unit('intervalVariability="fixed"')), step=0.05, stop=1.0, set=given), "unit.tick")
+    np.testing.assert_allclose(found, [0.15, 0.35, 0.55, 0.75, 0.95], atol=ROUNDING)
+    declared = unit('intervalVariability="tunable" shiftDecimal="0.5"', "declared")
+    found = ticks(run(str(declared), step=0.05, stop=1.0, set=given), "unit.tick")
+    np.testing.assert_allclose(found, [0.5, 0.9], atol=ROUNDING)  # after a tick 0.2 (1 + 1)
+    told = problem(
+        lambda: run(str(unit('intervalVariability="fixed"')), stop=1.0, step=0.1, set={"unit.delay": -1})
+    )
+    assert told == "unit.tick: expected a shift of 0 s or more, got -1 s"
+
+
+def test_clocks_of_a_third_and_a_seventh_meet_at_whole_seconds(unit):
+    """Their intervals are no decimal numbers: both in one instant at 1 s, 2 s and 3 s, and nowhere else."""
+    files = {"a": unit(FRACTIONS.format("fixed")), "b": unit(FRACTIONS.format("fixed"), "b")}
+    system = assemble(files, [], {"a.period": 1 / 3, "b.period": 1 / 7, "b.delay": 1 / 7})
+    result = run(system, step=0.1, stop=3.0)
+    np.testing.assert_allclose(ticks(result, "a.tick"), np.arange(1, 10) / 3, atol=ROUNDING)
+    np.testing.assert_allclose(ticks(result, "b.tick"), np.arange(1, 22) / 7, atol=ROUNDING)
+    assert [e.time for e in result.events if {"a.tick", "b.tick"} <= {*e.causes}] == [1.0, 2.0, 3.0]
+
+
 COUNT = 'name="count" valueReference="10" causality="output" clocks="1"'
 
 

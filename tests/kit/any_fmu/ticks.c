@@ -2,6 +2,7 @@
  *
  *   tick    input clock: count := count + 1, y = s + u, s := s + u; in a countdown or with changing intervals the next
  *           one is `period` (1 + count mod 2) later, at most `most` ticks
+ *           an interval and a shift that are asked for are `period` and `delay`, as fractions in 21ths of a second
  *   fired   output clock, at every `every`-th tick, and whenever `come` ticks if `passes`: text = "n<count>", frame = n
  *   come    triggered input clock: got := got + 1, heard = length of the text `word` and last byte of the binary `data`
  *   note    text without a clock: noted = its length
@@ -16,10 +17,10 @@
 
 #include "fmi3Functions.h"
 
-enum { TICK = 1, FIRED, COME, COUNT = 10, GOT, HEARD, EVERY, PASSES, MOST, NOTED, U = 20, Y, PERIOD, TEXT = 30, WORD, NOTE, FRAME = 40, DATA };
+enum { TICK = 1, FIRED, COME, COUNT = 10, GOT, HEARD, EVERY, PASSES, MOST, NOTED, U = 20, Y, PERIOD, DELAY, TEXT = 30, WORD, NOTE, FRAME = 40, DATA };
 typedef struct {
     int mode, ticks, comes, count, got, heard, every, passes, most, told; /* mode: 0 before steps, 1 step, 2 event */
-    double u, s, period;
+    double u, s, period, delay;
     char text[20], word[200], note[200];
     fmi3Byte frame[2], data[200];
     size_t length;
@@ -67,6 +68,22 @@ fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference r[], 
     q[0] = m->told || m->count >= m->most ? fmi3IntervalUnchanged : fmi3IntervalChanged;
     return m->told = 1, fmi3OK;
 }
+fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3UInt64 counts[],
+                                   fmi3UInt64 resolutions[], fmi3IntervalQualifier q[]) {
+    fmi3Float64 t[1];
+    resolutions[0] = 21;
+    const fmi3Status status = fmi3GetIntervalDecimal(c, r, n, t, q);
+    return counts[0] = (fmi3UInt64)(t[0] * 21 + 0.5), status;
+}
+/* Before steps only */
+fmi3Status fmi3GetShiftDecimal(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 t[]) {
+    const Unit *m = c;
+    return (void)r, (void)n, t[0] = m->delay, m->mode ? fmi3Error : fmi3OK;
+}
+fmi3Status fmi3GetShiftFraction(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3UInt64 counts[], fmi3UInt64 resolutions[]) {
+    const Unit *m = c;
+    return (void)r, (void)n, counts[0] = (fmi3UInt64)(m->delay * 21 + 0.5), resolutions[0] = 21, m->mode ? fmi3Error : fmi3OK;
+}
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *a, fmi3Boolean *b, fmi3Boolean *d, fmi3Boolean *e, fmi3Boolean *f,
                                     fmi3Float64 *t) {
     Unit *m = c;
@@ -97,7 +114,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
         if (r[i] == U || r[i] == Y) {
             if (!m->ticks) return fmi3Error;
             y[i] = r[i] == U ? m->u : m->s + m->u;
-        } else y[i] = m->period;
+        } else y[i] = r[i] == DELAY ? m->delay : m->period;
     return fmi3OK;
 }
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Float64 y[], size_t k) {
@@ -105,7 +122,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
     (void)k;
     for (size_t i = 0; i < n; i++) {
         if (r[i] == U && m->mode && !m->ticks) return fmi3Error;
-        *(r[i] == U ? &m->u : &m->period) = y[i];
+        *(r[i] == U ? &m->u : r[i] == DELAY ? &m->delay : &m->period) = y[i];
     }
     return fmi3OK;
 }
