@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -422,8 +422,16 @@ class RunningFmu:
 
     def enter_events(self) -> None:
         """Enter event mode, at the end of a step."""
-        self.fmu.call("EnterEventMode")
+        self._enter_events()
         self.in_events = True
+
+    @cached_property
+    def _enter_events(self) -> Call:
+        return self.fmu.bound("EnterEventMode")
+
+    @cached_property
+    def _enter_steps(self) -> Call:
+        return self.fmu.bound("EnterStepMode")
 
     def update(self) -> tuple[bool, bool, float]:
         """One event iteration, see `FmuInstance.update_discrete_states`."""
@@ -433,7 +441,7 @@ class RunningFmu:
 
     def leave_events(self) -> None:
         """Leave event mode, ready for a step."""
-        self.fmu.call("EnterStepMode")
+        self._enter_steps()
         self.in_events = False
 
     def event_alone(self, write: Call) -> None:

@@ -444,6 +444,7 @@ static inline Real source_slope(const CouplingInput *s) {
 
 /* calls.c; machines.cpp for several machines */
 int execute(Simulation *, const Program *);
+EXPORT int32_t program_run(Simulation *, const Program *);
 int python_call(Simulation *, int32_t request, int32_t index, double t, double h);
 int component_step(Simulation *, int k, Real begin, Real length); /* begin: [s] after the start of the step */
 int component_save(Simulation *, int k);
