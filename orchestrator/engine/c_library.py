@@ -191,7 +191,7 @@ class Binding:
         self.logs: Sequence[Log] = ()
         self._checks: dict[int, StatusCheck] = {}
         self._calls: list[Call] = []
-        self._constants: list[NDArray[Any]] = []
+        self._constants: list[Any] = []
         self.problem: BaseException | None = None
         callbacks = CHECK(self._check_status), PYTHON(self._call_python)
         self._alive: list[Any] = [*callbacks]
@@ -277,6 +277,14 @@ class Binding:
         """Calls as a program for C, which makes calls of FMI functions itself and others through Python."""
         instructions = self.array(self.h.Instruction, [self._instruction(call) for call in calls])
         return self.h.Program(len(calls), ctypes.addressof(instructions))
+
+    def joined(self, programs: Sequence[Any]) -> Any:
+        """The instructions of some programs as one."""
+        parts = [(self.h.Instruction * p.count).from_address(p.instructions) for p in programs if p.count]
+        count = sum(map(len, parts))
+        instructions = (self.h.Instruction * max(count, 1))(*(i for part in parts for i in part))
+        self._constants.append(instructions)
+        return self.h.Program(count, ctypes.addressof(instructions))
 
     def _instruction(self, call: Call | ExchangeCall) -> Any:
         if isinstance(call, Access):

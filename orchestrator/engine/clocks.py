@@ -90,6 +90,7 @@ class Clocks:
                     self._timed.append(self._begun(port, slave, clock))
         programs = {clock: self._programs(ports) for clock, ports in variables.items()}
         self._sets, self._reads = ({clock: pair[k] for clock, pair in programs.items()} for k in (0, 1))
+        self._joined = dict[tuple[Port, ...], list[Any]]()
 
     def _programs(self, ports: list[Port]) -> tuple[Any, Any]:
         """The programs that set the inputs among variables from their sources, and read the others."""
@@ -192,16 +193,19 @@ class Clocks:
         Returns whether one has changed that may feed an input of a clock.
         """
         network = self._network
-        for clock in active:
-            if clock in self._sets:
-                network.binding.run(self._sets[clock])
-        values = (network.reals.values, network.integers.values) if self._chained else ()
-        before, texts = [array.copy() for array in values], len(network.texts.changes)
-        for clock in active:
-            if clock in self._reads:
-                network.binding.run(self._reads[clock])
+        programs = self._joined.get(key := tuple(active))
+        if programs is None:
+            parts = [[of[clock] for clock in active if clock in of] for of in (self._sets, self._reads)]
+            parts = parts if self._chained else [[*parts[0], *parts[1]]]
+            programs = self._joined[key] = [network.binding.joined(part) for part in parts]
+        network.binding.run(programs[0])
+        if not self._chained:
+            return False
+        values, texts = (network.reals.values, network.integers.values), len(network.texts.changes)
+        before = [array.copy() for array in values]
+        network.binding.run(programs[1])
         found = any(differing(*pair).any() for pair in zip(values, before, strict=True))
-        return self._chained and (found or len(network.texts.changes) > texts)
+        return found or len(network.texts.changes) > texts
 
     def saved(self) -> list[Any]:
         """Intervals and next ticks, for a saved run."""

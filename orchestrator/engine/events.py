@@ -49,7 +49,7 @@ class Instants:
 
         sink: receives each event at once, as an FMU may end the process later
         """
-        self._sink = sink
+        self._sink, self._state = sink, network.binding.simulation.events
         self._network, self._times = network, times
         self._members: dict[str, RunningFmu] = {
             name: slave
@@ -86,7 +86,7 @@ class Instants:
 
     def fill(self) -> None:
         """Fill the structures for C."""
-        sim, state = self._network.binding.simulation, self._network.binding.simulation.events
+        sim, state = self._network.binding.simulation, self._state
         state.used, state.located, state.next = True, bool(sim.rollback), np.inf
         rounding = 8 * ulp(max(abs(self._times.start), abs(self._times.stop)))
         state.tolerance = max(min(TIME_TOLERANCE, SHARE_OF_STEP * self._times.step), rounding)
@@ -115,11 +115,10 @@ class Instants:
         if never:
             got = "expected an event at one time when a step is repeated, got different times"
             raise Problem(f"{', '.join(asked)}: after t = {t:.9g} s: {got}")
-        state = self._network.binding.simulation.events
         asked += [
             name
             for name, slave in self._members.items()
-            if slave.next_event <= t + state.tolerance and name not in asked
+            if slave.next_event <= t + self._state.tolerance and name not in asked
         ]
         changed = self._instant(t)
         for name in asked:  # an event at the beginning of a step that changes nothing is later
@@ -143,7 +142,7 @@ class Instants:
         """
         if not self._clocks:
             return self._once(t)
-        state, changed = self._network.binding.simulation.events, list[str]()
+        state, changed = self._state, list[str]()
         for _ in range(MAX_EVENT_ITERATIONS):
             due = self._clocks.begin(t, state.tolerance)
             changed += [*map(str, due), *self._once(t)]
@@ -176,16 +175,15 @@ class Instants:
         for name, time in times.items():
             if not time > t:
                 raise Problem(f"{name}: expected the next event after t = {t:.9g} s, got {time:.9g} s")
-        state = self._network.binding.simulation.events
-        state.next = min(times.values(), default=np.inf)
+        self._state.next = min(times.values(), default=np.inf)
         return [*changed]
 
     def _copied(self, t: float) -> list[str]:
         """Copy values along all connections; returns the signals, not continuous, that have changed."""
         network, found = self._network, list[str]()
         texts = len(network.texts.changes)
-        network.binding.call("simulation_exchange", c_double(t))
-        for array, indices, before, sources in self._discrete:
+        network.binding.call("event_exchange", c_double(t))
+        for array, indices, before, sources in self._discrete if self._state.changed else ():
             values = array.values[indices]
             if (places := np.flatnonzero(differing(values, before))).size:
                 found += [sources[i] for i in places]

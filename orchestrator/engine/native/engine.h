@@ -358,6 +358,7 @@ typedef struct Events {
     int32_t used;     /* FMUs are in event mode at instants, through Python */
     int32_t located;  /* all components can go back, so that a step is repeated to its first event */
     int32_t due;      /* there is an instant at the end of the step */
+    int32_t changed;  /* signals that are not continuous, since the last exchange in an instant */
     int32_t tries;    /* of the present step */
     double next;      /* the next time event that an FMU has announced [s] */
     double tolerance; /* of the time of an event [s] */
@@ -543,7 +544,8 @@ void event_try(Simulation *);
 int event_reached(Simulation *, Component *, double reached, int early);
 int event_approached(Simulation *, double h, int *goes_back);
 int event_missed(Simulation *, double h);
-int event_due(Simulation *);
+int event_due(const Simulation *);
+EXPORT int32_t event_exchange(Simulation *, double t);
 int event_instant(Simulation *);
 void event_values(Simulation *);
 
