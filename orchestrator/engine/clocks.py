@@ -88,11 +88,10 @@ class Clocks:
                 elif clock.causality == "input" and clock.get("intervalVariability") != "triggered":
                     assert isinstance(slave, RunningFmu)
                     self._timed.append(self._begun(port, slave, clock))
-        programs = {clock: self._programs(ports) for clock, ports in variables.items()}
-        self._sets, self._reads = ({clock: pair[k] for clock, pair in programs.items()} for k in (0, 1))
+        self._programs = {clock: self._sets_and_reads(ports) for clock, ports in variables.items()}
         self._joined = dict[tuple[Port, ...], list[Any]]()
 
-    def _programs(self, ports: list[Port]) -> tuple[Any, Any]:
+    def _sets_and_reads(self, ports: list[Port]) -> tuple[Any, Any]:
         """The programs that set the inputs among variables from their sources, and read the others."""
         network, inputs = self._network, {*ports} & self._network.held_values
         variables = {port: network.system.variable(port) for port in ports}
@@ -171,12 +170,12 @@ class Clocks:
                 ticked.append(port)
             self._active |= self.pending
             self.pending = set()
-            changed = self._copy(sorted(self._active))
+            changed = bool(self._active) and self._copy(sorted(self._active))
             for port in self._outputs:
                 if port not in self._active and self._slave(port).ticks(port.variable):
                     self._active.add(port)
                     ticked.append(port)
-                    changed |= port in self._reads  # which are read in the next round
+                    changed |= port in self._programs  # which are read in the next round
                     self.pending |= {c.target for c in self._wires.get(port, ())}
         raise Unsettled(
             f"{self._network.system.name}: the clocks do not settle: {', '.join(map(str, ticked[-3:]))}"
@@ -195,7 +194,8 @@ class Clocks:
         network = self._network
         programs = self._joined.get(key := tuple(active))
         if programs is None:
-            parts = [[of[clock] for clock in active if clock in of] for of in (self._sets, self._reads)]
+            pairs = [self._programs[clock] for clock in active if clock in self._programs]
+            parts = [[pair[k] for pair in pairs] for k in (0, 1)]
             parts = parts if self._chained else [[*parts[0], *parts[1]]]
             programs = self._joined[key] = [network.binding.joined(part) for part in parts]
         network.binding.run(programs[0])

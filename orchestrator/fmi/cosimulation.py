@@ -624,7 +624,8 @@ class CoSimulationFmu(RunningFmu):
         if status:
             self.fmu.check_status(status, "the step")
         if end.early:
-            text = f"ended early at {at}{'' if outside else ', which was not allowed'}"
+            forbidden = ", expected its time" if self.event_mode else ", which was not allowed"
+            text = f"ended early at {at}{'' if outside else forbidden}"
             raise Problem(self.log.error_message("the step", text))
         if end.event and self.event_mode:
             self._asks = True

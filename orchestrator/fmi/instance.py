@@ -61,7 +61,7 @@ class CallFailed(Problem):
         super().__init__(message)
 
 
-class Unsettled(Problem):
+class Unsettled(CallFailed):
     """Discrete states that still change after many event iterations."""
 
 

@@ -13,6 +13,7 @@ from kit.mistakes import problem
 from zoo.faulty import faulty
 
 from orchestrator import Coupling, Master, RunFailed, assemble, load, run, write_ssp
+from orchestrator.engine.clocks import Timed
 from orchestrator.engine.network import Texts
 from orchestrator.engine.result import Card, Event, write_events
 from orchestrator.ssp.system import Port
@@ -106,11 +107,22 @@ def test_intervals_that_change(unit):
     np.testing.assert_allclose(ticks(asked, "unit.tick"), [0.25, 0.5], atol=ROUNDING)
 
 
+def test_a_million_ticks_do_not_drift():
+    """Tick k is exactly at shift + k interval: here the last hundred thousand; each time is the nearest float."""
+    shift, interval = Fraction(1, 7), Fraction(1, 3000)
+    clock = Timed(Port("unit", "tick"), None, None, interval)
+    clock.schedule(shift + 900_000 * interval)
+    for _ in range(100_000):
+        clock.schedule(clock.next + clock.interval)
+    assert clock.next == shift + 1_000_000 * interval
+    assert clock.time == float(clock.next)
+
+
 FRACTIONS = 'intervalVariability="{}" supportsFraction="true"'
 
 
 def test_a_first_tick_that_the_fmu_tells(unit):
-    """Interval and shift of the FMU where the description has none, also as fractions; a shift < 0 is refused."""
+    """Interval and shift of the FMU where the description has none; a shift below 0 is refused."""
     given = {"unit.period": 0.2, "unit.delay": 0.15}
     found = ticks(run(str(unit('intervalVariability="fixed"')), step=0.05, stop=1.0, set=given), "unit.tick")
     np.testing.assert_allclose(found, [0.15, 0.35, 0.55, 0.75, 0.95], atol=ROUNDING)
