@@ -99,8 +99,8 @@ static unsigned chance(const Instance *m) {
 /* The misuse that is due. */
 static int misuse(const Instance *m) {
     if (m->i[HOW] < 100) return m->time > 0.5 ? m->i[HOW] : 0;
-    const unsigned k = chance(m) % 256;
-    return k < 4 ? (int[]){8, 9, 10, 4}[k] : k < 8 ? 11 : k < 40 ? 13 : k < 60 ? 14 : k < 90 ? 5 : 0;
+    const unsigned k = chance(m) % 1024;
+    return k < 4 ? (int[]){8, 9, 10, 4}[k] : k < 6 ? 11 : k < 150 ? 13 : k < 250 ? 14 : k < 400 ? 5 : 0;
 }
 
 static double following(const Instance *m) { return m->r[PERIOD] * (m->i[COUNT] + 1); }

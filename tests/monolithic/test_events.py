@@ -342,7 +342,7 @@ def test_misuse_at_random_ends_in_one_line(stopping, master):
         ends.add(re.sub(r"-?\d\S*", "", message))
         assert (np.diff(result.trace.time) > 0).all()
         assert np.isfinite(result["room.T"]).all()
-    assert len(ends) > 3, ends
+    assert len(ends) > 2, ends
 
 
 def test_an_event_in_the_past_is_refused(stopping):

@@ -4,6 +4,7 @@ The FMU of ticks.c refuses an access to a variable whose clock does not tick.
 """
 
 import csv
+import platform
 from fractions import Fraction
 
 import numpy as np
@@ -108,7 +109,7 @@ def test_intervals_that_change(unit):
 
 
 def test_a_million_ticks_do_not_drift():
-    """Tick k is exactly at shift + k interval: here the last hundred thousand; each time is the nearest float."""
+    """Tick k is exactly at shift + k interval, in the last hundred thousand, its time the nearest float."""
     shift, interval = Fraction(1, 7), Fraction(1, 3000)
     clock = Timed(Port("unit", "tick"), None, None, interval)
     clock.schedule(shift + 900_000 * interval)
@@ -272,6 +273,16 @@ def test_ticks_are_kept_when_the_process_dies(unit, tmp_path):
     with pytest.raises(RunFailed) as failed:
         run(system, stop=1.0, step=0.05)
     np.testing.assert_allclose(ticks(failed.value.result, "unit.tick"), np.arange(1, 6) / 10, atol=ROUNDING)
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the FMU switches on traps of SSE")
+def test_traps_that_an_fmu_switches_on_in_an_instant_end_nothing(unit):
+    """In each call of a clock and of event mode: the run goes on as without, with a warning."""
+    pair = assemble({"a": unit(), "b": unit(name="b")}, ["a.fired -> b.come", "a.y -> b.u"], {"a.u": 0.1})
+    calm, trapping = (run(pair, set={"a.traps": traps}, step=0.03, stop=1.0) for traps in (0, 1))
+    assert all(np.array_equal(calm[name], trapping[name]) for name in calm)
+    (warning,) = trapping.card.warnings
+    assert warning.startswith("a at t = 0 s: the FMU changed the floating-point environment")
 
 
 @pytest.mark.parametrize(
