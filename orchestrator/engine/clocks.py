@@ -18,13 +18,12 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import grouped
 from orchestrator.engine.network import Network, differing
-from orchestrator.fmi.cosimulation import RunningFmu
+from orchestrator.fmi.cosimulation import CHANGED, RunningFmu
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled
 from orchestrator.ssp.system import Port
 
-CHANGED = 2  # fmi3IntervalChanged
-ASKED = ("tunable", "changing", "countdown")  # clocks whose interval may change in a run
+APERIODIC = ("changing", "countdown")  # clocks whose interval may be 0
 
 
 @dataclass(eq=False)
@@ -114,20 +113,18 @@ class Clocks:
         self._network.store(port, self._network.slaves[port.component].get(port.variable))
 
     def _begun(self, port: Port, slave: RunningFmu, clock: FmuVariable) -> Timed:
-        """A clock with its first tick; those of a countdown are told in event mode."""
+        """A clock with its first tick; one of a countdown may tell it later."""
         begun = Timed(port, slave, clock)
-        if begun.kind == "countdown":
-            return begun
-        interval, shift = clock.fraction("interval"), clock.fraction("shift") or Fraction(0)
-        if interval is None:
-            interval, shift = slave.first_ticks[clock.name]
-        self._set_interval(begun, interval)
-        begun.schedule(self._start + shift)
+        declared = clock.fraction("interval"), clock.fraction("shift") or Fraction(0)
+        interval, shift = slave.first_ticks.get(clock.name, declared)
+        if interval is not None:
+            self._set_interval(begun, interval)
+            begun.schedule(self._start + shift)
         return begun
 
     def _set_interval(self, c: Timed, interval: Fraction) -> None:
-        if interval < 0 or (interval == 0 and c.kind != "countdown"):
-            least = "0 s or more" if c.kind == "countdown" else "above 0 s"
+        if interval < 0 or (interval == 0 and c.kind not in APERIODIC):
+            least = "0 s or more" if c.kind in APERIODIC else "above 0 s"
             raise Problem(f"{c.port}: expected an interval {least}, got {float(interval):.9g} s")
         c.interval = interval
 
@@ -148,15 +145,15 @@ class Clocks:
     def finish(self) -> None:
         """After an instant: when do its clocks tick next?"""
         for c in self._timed:
-            counts, ticked = c.kind == "countdown", c in self._due
-            if counts or (ticked and c.kind in ASKED):
+            ticked, changed = c in self._due, False
+            if c.kind in ("tunable", "countdown") or (ticked and c.kind == "changing"):
                 qualifier, interval = c.slave.interval(c.clock)
-                if qualifier == CHANGED:
+                if changed := qualifier == CHANGED:
                     self._set_interval(c, interval)
-                if counts and (ticked or qualifier == CHANGED):
-                    c.schedule(self._now + interval if qualifier == CHANGED else None)
-            if ticked and not counts and c.next is not None and c.interval is not None:
-                c.schedule(c.next + c.interval)
+            if c.interval is not None and (changed or (ticked and c.kind != "countdown")):
+                c.schedule(self._now + c.interval)  # a new interval begins now
+            elif ticked:
+                c.schedule(None)
 
     def propagate(self) -> list[str]:
         """Let clocks tick until no other one does, with their variables; returns the names of the clocks."""

@@ -33,6 +33,7 @@ from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
 UNUSED = ("sources/", "documentation/")  # by a running FMU
+UNKNOWN, CHANGED = 0, 2  # fmi3IntervalNotYetKnown, fmi3IntervalChanged
 INTERVAL = "GetIntervalDecimal", "GetIntervalFraction"
 SHIFT = "GetShiftDecimal", "GetShiftFraction"
 LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
@@ -44,7 +45,7 @@ class RunningFmu:
     event_mode   it has event mode between steps: variables that are not continuous are set there
     in_events    it is in event mode
     next_event   time of its next time event, as far as it has event mode between steps [s]
-    first_ticks   interval and shift of clocks that tick by time and do not declare the interval [s]
+    first_ticks   of clocks that declare no interval: interval, and time from the start to the first tick [s]
     """
 
     event_mode = in_events = _asks = False
@@ -415,6 +416,8 @@ class RunningFmu:
             return Fraction(results[0][0], results[1][0] or 1), results[-1]
         call, results = self._clock_call(as_decimal, clock.name, ctypes.c_double, *more)
         call()
+        if more and results[-1][0] == UNKNOWN:
+            return Fraction(0), results[-1]
         if not np.isfinite(seconds := results[0][0]):
             name, what = f"{self.name}.{clock.name}", "a shift" if as_decimal in SHIFT else "an interval"
             raise Problem(f"{name}: expected {what} in seconds, got {seconds}")
@@ -500,22 +503,23 @@ class CoSimulationFmu(RunningFmu):
     def exit(self) -> None:
         """Leave initialisation mode, with the first event if there is event mode, and enter step mode.
 
-        Clocks tell before what is fixed there, and those of a changing interval after it.
+        Before, clocks that tick by time tell intervals that are not declared (FMI 3.0.2, 2.2.8.3).
         """
         clocks = [v for v in self.interface.of("input") if v.kind == "Clock"] if self.event_mode else []
-        asked = [v for v in clocks if v.fraction("interval") is None]
-        kinds = {v.name: v.get("intervalVariability") for v in asked}
-        for v in asked:
-            if kinds[v.name] in ("constant", "fixed", "tunable"):
-                shift = v.fraction("shift")
-                self.first_ticks[v.name] = self.interval(v)[1], self.shift(v) if shift is None else shift
+        for v in clocks:
+            kind = v.get("intervalVariability")
+            if kind == "triggered" or v.fraction("interval") is not None:
+                continue
+            qualifier, interval = self.interval(v)
+            if kind in ("changing", "countdown"):
+                delay = interval
+            else:
+                delay = self.shift(v) if (shift := v.fraction("shift")) is None else shift
+            if kind != "countdown" or qualifier == CHANGED:
+                self.first_ticks[v.name] = interval, delay
         super().exit()
         if self.event_mode:
             self.in_events = True
-            changing = [v for v in asked if kinds[v.name] == "changing"]
-            self.first_ticks |= {
-                v.name: (self.interval(v)[1], v.fraction("shift") or Fraction(0)) for v in changing
-            }
             self._settle()
 
     def close(self) -> None:

@@ -97,6 +97,10 @@ def test_intervals_that_change(unit):
     """0.2 s after an odd tick, 0.1 s after an even one; a countdown ends when the FMU tells no more."""
     changing = run(str(unit('intervalVariability="changing" intervalDecimal="0.3"')), step=0.04, stop=1.0)
     np.testing.assert_allclose(ticks(changing, "unit.tick"), [0.2, 0.3, 0.5, 0.6, 0.8, 0.9], atol=ROUNDING)
+    first = run(
+        str(unit('intervalVariability="changing"', "first")), step=0.04, stop=1.0
+    )  # after an interval
+    np.testing.assert_allclose(ticks(first, "unit.tick"), [0.1, 0.3, 0.4, 0.6, 0.7, 0.9, 1.0], atol=ROUNDING)
     down = unit('intervalVariability="countdown"', "down")
     counted = run(str(down), step=0.04, stop=1.0, set={"unit.most": 4})
     np.testing.assert_allclose(ticks(counted, "unit.tick"), [0.1, 0.3, 0.4, 0.6], atol=ROUNDING)
@@ -216,6 +220,27 @@ def test_texts_go_with_their_clocks(unit, tmp_path):
     lines = (tmp_path / "run.texts.csv").read_text().splitlines()
     assert lines[0] == "time,signal,text"
     assert lines[3].endswith(",a.text,n3")  # after those of c, which fires at the start
+
+
+BUS = [
+    f"{a}.{out} -> {b}.{to}" for a, b in ("pq", "qp") for out, to in (("fired", "come"), ("frame", "data"))
+]
+
+
+@pytest.mark.parametrize("master", MASTERS, ids=lambda c: c.method.name)
+def test_two_nodes_of_a_bus_send_each_other_frames(unit, master):
+    """Both ways, at 1/10 s and 3/20 s, together at each 3/10 s: each frame arrives at its time."""
+    sends = {'valueReference="2" dependencies="1 3"': 'valueReference="2" dependencies="1"'}
+    nodes = {"p": unit(**sends), "q": unit(DECIMAL.format("0.15"), "q", **sends)}
+    result = run(assemble(nodes, BUS), step=0.05, stop=1.2, master=master)
+    frames = [(round(1200 * t), name, text) for t, name, text in result.texts if name.endswith("frame")]
+    exact = [(120 * k, "p.frame", f"00{k + 1:02x}") for k in range(13)]
+    exact += [(180 * k, "q.frame", f"00{k + 1:02x}") for k in range(9)]
+    assert sorted(frames) == sorted(exact)
+    points = np.arange(25)  # of 0.05 s
+    for receiver, every in (("q", 2), ("p", 3)):
+        assert result[f"{receiver}.got"].tolist() == (1 + points // every).tolist()
+        assert result[f"{receiver}.heard"].tolist() == result[f"{receiver}.got"].tolist()  # the last byte
 
 
 def test_variables_of_an_output_clock_are_read(unit):
