@@ -171,6 +171,7 @@ class Instants:
         for slave in self._members.values():
             slave.leave_events()
         if ended:
+            self._state.ends = True
             raise self._members[ended].ended_at(t)
         for name, time in times.items():
             if not time > t:

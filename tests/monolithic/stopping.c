@@ -14,7 +14,8 @@
  * wrong: 3 stops there for ever; 4 the next event is in the past; 5 discrete states never settle; 6 discards each step
  * after t = 0.55; 7 requests the end at its first event. After t = 0.5 it stops early 8 at NaN, 9 before its step, 10 after it;
  * 11 the next event is at NaN; from 100 on, the seed: at random one of
- * these, 13 an event anywhere in its step, 14 at its end, an update, or nothing.
+ * these, 13 an event anywhere in its step, 14 at its end, an update, or nothing;
+ * 15 the third event is the end.
  */
 #include <math.h>
 #include <stdlib.h>
@@ -98,7 +99,7 @@ static unsigned chance(const Instance *m) {
 
 /* The misuse that is due. */
 static int misuse(const Instance *m) {
-    if (m->i[HOW] < 100) return m->time > 0.5 ? m->i[HOW] : 0;
+    if (m->i[HOW] < 100) return m->time > 0.5 && m->i[HOW] < 12 ? m->i[HOW] : 0;
     const unsigned k = chance(m) % 1024;
     return k < 4 ? (int[]){8, 9, 10, 4}[k] : k < 6 ? 11 : k < 150 ? 13 : k < 250 ? 14 : k < 400 ? 5 : 0;
 }
@@ -180,7 +181,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *a, fmi3Boolean 
                                     fmi3Float64 *e) {
     Instance *m = c;
     *a = update(m) != 0;
-    *t = *n = *v = fmi3False;
+    *n = *v = fmi3False, *t = m->i[HOW] == 15 && m->i[COUNT] == 3;
     const int wrong = misuse(m);
     *d = NAMED(m, TICKER) || wrong == 4 || wrong == 11;
     *e = wrong == 4 ? m->time - 0.1 : wrong == 11 ? NAN : following(m);

@@ -393,3 +393,15 @@ def test_an_fmu_may_end_the_run_at_an_event(stopping):
     )
     assert result.complete
     assert result.time[-1] == 0.25
+
+
+@pytest.mark.parametrize("period", [0.2, 0.21])
+def test_the_row_of_the_event_that_ends_a_run_is_kept(stopping, period):
+    """In event mode, at a point or between two: the values after it, of all FMUs, are the last row."""
+    system = assemble({"t": stopping("ticker"), "s": stopping("sum")}, ["t.level -> s.u"])
+    given = {"t.how": 15, "t.period": period}
+    result = run(system, set=given, stop=1.0, step=0.1, isolate=False)
+    assert result.time[-1] == pytest.approx(3 * period, abs=1e-9)
+    assert (result["t.count"][-1], result["t.level"][-1]) == (3, 3.0)
+    assert result["s.s"][-1] == pytest.approx((1 + 2) * period, abs=1e-9)
+    assert (np.diff(result.time) > 0).all()

@@ -359,6 +359,7 @@ typedef struct Events {
     int32_t located;  /* all components can go back, so that a step is repeated to its first event */
     int32_t due;      /* there is an instant at the end of the step */
     int32_t changed;  /* signals that are not continuous, since the last exchange in an instant */
+    int32_t ends;     /* an FMU has requested the end of the run in an instant */
     int32_t tries;    /* of the present step */
     double next;      /* the next time event that an FMU has announced [s] */
     double tolerance; /* of the time of an event [s] */

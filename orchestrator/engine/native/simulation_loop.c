@@ -305,6 +305,7 @@ static int next_step(Simulation *sim) {
     verdict = any(jumps) ? jump(sim, jumps) : CONTINUE;
 #if WIDTH == 1
     if (!verdict && event_due(sim)) verdict = go_through_events(sim);
+    if (sim->events.ends) record(sim); /* all FMUs are at the event in which the run ends */
 #endif
     if (verdict) return verdict;
     if (there || sim->free || sim->diverged) record(sim);
