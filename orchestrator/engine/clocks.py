@@ -18,12 +18,10 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import grouped
 from orchestrator.engine.network import Network, differing
-from orchestrator.fmi.cosimulation import CHANGED, RunningFmu
+from orchestrator.fmi.cosimulation import APERIODIC, CHANGED, RunningFmu
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled
 from orchestrator.ssp.system import Port
-
-APERIODIC = ("changing", "countdown")  # clocks whose interval may be 0
 
 
 @dataclass(eq=False)

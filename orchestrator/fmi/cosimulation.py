@@ -34,6 +34,7 @@ from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, statu
 
 UNUSED = ("sources/", "documentation/")  # by a running FMU
 UNKNOWN, CHANGED = 0, 2  # fmi3IntervalNotYetKnown, fmi3IntervalChanged
+APERIODIC = ("changing", "countdown")  # clocks whose interval may be 0
 INTERVAL = "GetIntervalDecimal", "GetIntervalFraction"
 SHIFT = "GetShiftDecimal", "GetShiftFraction"
 LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
@@ -397,9 +398,10 @@ class RunningFmu:
         return qualifier[0], interval
 
     def shift(self, clock: FmuVariable) -> Fraction:
-        """Time from the start to the first tick of a clock [s], 0 if the FMU does not have it."""
-        if not any(map(self.fmu.library.has, SHIFT)):
-            return Fraction(0)
+        """Time from the start to the first tick of a periodic clock [s]."""
+        declared = clock.fraction("shift")
+        if declared is not None or not any(map(self.fmu.library.has, SHIFT)):
+            return declared or Fraction(0)
         shift, _ = self._seconds(clock, *SHIFT)
         if shift < 0:
             got = f"got {float(shift):.9g} s"
@@ -511,10 +513,7 @@ class CoSimulationFmu(RunningFmu):
             if kind == "triggered" or v.fraction("interval") is not None:
                 continue
             qualifier, interval = self.interval(v)
-            if kind in ("changing", "countdown"):
-                delay = interval
-            else:
-                delay = self.shift(v) if (shift := v.fraction("shift")) is None else shift
+            delay = interval if kind in APERIODIC else self.shift(v)
             if kind != "countdown" or qualifier == CHANGED:
                 self.first_ticks[v.name] = interval, delay
         super().exit()
