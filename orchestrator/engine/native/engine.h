@@ -356,6 +356,7 @@ typedef struct Events {
     int64_t *integers;
     int32_t real_count, integer_count;
     int32_t used;     /* FMUs are in event mode at instants, through Python */
+    int32_t present;  /* used, or there are such inputs; else no step looks for events */
     int32_t located;  /* all components can go back, so that a step is repeated to its first event */
     int32_t due;      /* there is an instant at the end of the step */
     int32_t changed;  /* signals that are not continuous, since the last exchange in an instant */
