@@ -191,13 +191,16 @@ class Binding:
         self.logs: Sequence[Log] = ()
         self._checks: dict[int, StatusCheck] = {}
         self._calls: list[Call] = []
-        self._constants: list[NDArray[Any]] = []
+        self._constants: list[Any] = []
         self.problem: BaseException | None = None
         callbacks = CHECK(self._check_status), PYTHON(self._call_python)
         self._alive: list[Any] = [*callbacks]
         for name, callback in zip(("check_status", "call_python"), callbacks, strict=True):
             setattr(self.simulation, name, ctypes.cast(callback, ctypes.c_void_p).value)
         self.call("environment_begin")
+        self._called: Slave | FmuInstance | None = None
+        address = ctypes.c_void_p(ctypes.addressof(self.simulation))
+        self._check_environment = partial(library().environment_check, address)
 
     def call(self, function: str, *arguments: Any) -> None:
         """Call a function of the engine on this simulation; raises the exception that ended the run."""
@@ -205,15 +208,20 @@ class Binding:
         if verdict:
             raise self.problem or Problem("the run stopped")
 
-    def restore_environment(self, *called: Slave | FmuInstance) -> None:
-        """Restore the floating-point environment after calls of one of some FMUs, which gets a warning."""
-        logs, self.logs = self.logs, [fmu.log for fmu in called]
-        self.call("environment_check")
-        self.logs = logs
+    def run(self, program: Any) -> None:
+        """Run a program."""
+        self.call("program_run", ctypes.byref(program))
+
+    def restore_environment(self, called: Slave | FmuInstance | None = None) -> None:
+        """Restore the floating-point environment after a call of an FMU, which gets a warning."""
+        self._called = called
+        self._check_environment()
+        self._called = None
 
     def _warn_of_change(self, call: int | None, component: int) -> None:
         """Give a warning to the FMU that has changed the environment, or to the first of several."""
         logs = self.logs if component < 0 else [self.logs[component]]
+        logs = [self._called.log] if self._called else logs
         if isinstance(check := self._checks.get(call or 0), Access | BoundCall):
             logs = [(check.call if isinstance(check, Access) else check).instance.log]
         who = " or ".join(["the FMU", *(log.component for log in logs[1:])])
@@ -269,6 +277,14 @@ class Binding:
         """Calls as a program for C, which makes calls of FMI functions itself and others through Python."""
         instructions = self.array(self.h.Instruction, [self._instruction(call) for call in calls])
         return self.h.Program(len(calls), ctypes.addressof(instructions))
+
+    def joined(self, programs: Sequence[Any]) -> Any:
+        """The instructions of some programs as one."""
+        parts = [(self.h.Instruction * p.count).from_address(p.instructions) for p in programs if p.count]
+        count = sum(map(len, parts))
+        instructions = (self.h.Instruction * max(count, 1))(*(i for part in parts for i in part))
+        self._constants.append(instructions)
+        return self.h.Program(count, ctypes.addressof(instructions))
 
     def _instruction(self, call: Call | ExchangeCall) -> Any:
         if isinstance(call, Access):

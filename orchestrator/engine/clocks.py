@@ -10,31 +10,43 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import grouped
-from orchestrator.engine.network import Network
-from orchestrator.fmi.cosimulation import RunningFmu
+from orchestrator.engine.network import Network, differing
+from orchestrator.fmi.cosimulation import APERIODIC, CHANGED, RunningFmu
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled
 from orchestrator.ssp.system import Port
 
-CHANGED = 2  # fmi3IntervalChanged
-ASKED = ("tunable", "changing", "countdown")  # clocks whose interval may change in a run
 
-
-@dataclass
+@dataclass(eq=False)
 class Timed:
-    """An input clock that ticks by time: its interval and its next tick [s]; None: not known."""
+    """An input clock that ticks by time.
+
+    interval, next   its interval and its next tick [s], exact; None: not known
+    time             of the next tick [s]; infinite if it is not known
+    """
 
     port: Port
     slave: RunningFmu
     clock: FmuVariable
-    interval: Fraction | None
-    next: Fraction | None
+    interval: Fraction | None = None
+    next: Fraction | None = None
+    time: float = np.inf
+
+    def schedule(self, tick: Fraction | None) -> None:
+        """Set its next tick [s]."""
+        self.next, self.time = tick, np.inf if tick is None else float(tick)
+
+    @property
+    def kind(self) -> str:
+        """The variability of its interval."""
+        return self.clock.get("intervalVariability")
 
 
 class Clocks:
@@ -43,7 +55,7 @@ class Clocks:
     def __init__(self, network: Network, start: float) -> None:
         self._network, self._start, system = network, Fraction(repr(start)), network.system
         self._timed, self._outputs = list[Timed](), list[Port]()
-        self._variables: dict[Port, list[Port]] = {}  # clock -> variables that belong to it
+        variables = dict[Port, list[Port]]()  # clock -> variables that belong to it
         self.pending, self._active = set[Port](), set[Port]()
         self._wires = grouped(
             [c for c in system.connections if system.variable(c.source).kind == "Clock"], lambda c: c.source
@@ -54,9 +66,9 @@ class Clocks:
             variable(c.source).clocked and variable(c.target).clocks for c in system.connections
         )
         for name, component in system.components.items():
-            variables = component.interface.variables.values()
-            clocks = {v.reference: Port(name, v.name) for v in variables if v.kind == "Clock"}
-            for v in variables:
+            of_component = component.interface.variables.values()
+            clocks = {v.reference: Port(name, v.name) for v in of_component if v.kind == "Clock"}
+            for v in of_component:
                 own = Port(name, v.name)
                 if v.kind == "Clock" or not v.clocked:
                     continue
@@ -65,7 +77,7 @@ class Clocks:
                     network.store(own, component.value(v.name))
                 if v.causality in ("input", "output") or own in recorded:
                     for port in (clocks[r] for r in v.clocks if r in clocks):
-                        self._variables.setdefault(port, []).append(own)
+                        variables.setdefault(port, []).append(own)
             for port in clocks.values():
                 clock, slave = system.variable(port), network.slaves[name]
                 if clock.causality == "output":
@@ -73,34 +85,55 @@ class Clocks:
                 elif clock.causality == "input" and clock.get("intervalVariability") != "triggered":
                     assert isinstance(slave, RunningFmu)
                     self._timed.append(self._begun(port, slave, clock))
+        self._programs = {clock: self._sets_and_reads(ports) for clock, ports in variables.items()}
+        self._joined = dict[tuple[Port, ...], list[Any]]()
+
+    def _sets_and_reads(self, ports: list[Port]) -> tuple[Any, Any]:
+        """The programs that set the inputs among variables from their sources, and read the others."""
+        network, inputs = self._network, {*ports} & self._network.held_values
+        variables = {port: network.system.variable(port) for port in ports}
+        others = [port for port, variable in variables.items() if variable.causality != "input"]
+        sets = network.copies([c for c in network.connections if c.target in inputs])
+        sets += network.set_calls(inputs)
+        sets += [partial(self._set_text, p) for p in sorted(inputs) if not variables[p].is_number]
+        reads: list[Any] = [*network.get_calls({*others})]
+        reads += [partial(self._read_text, p) for p in others if not variables[p].is_number]
+        return network.binding.program(sets), network.binding.program(reads)
+
+    def _set_text(self, port: Port) -> None:
+        wire = self._sources.get(port)
+        value = self._network.texts.last.get(wire.source if wire else port)
+        if value is not None:  # one that its clock has given
+            self._network.slaves[port.component].set(port.variable, value)
+            self._network.store(port, value)
+
+    def _read_text(self, port: Port) -> None:
+        self._network.store(port, self._network.slaves[port.component].get(port.variable))
 
     def _begun(self, port: Port, slave: RunningFmu, clock: FmuVariable) -> Timed:
-        """A clock with its first tick; those of a countdown are told in event mode."""
-        interval = clock.fraction("interval")
-        if clock.get("intervalVariability") == "countdown":
-            return Timed(port, slave, clock, None, None)
-        if interval is None:
-            interval = slave.first_intervals[clock.name]
-        self._check(port, interval, interval > 0)
-        return Timed(port, slave, clock, interval, self._start + (clock.fraction("shift") or 0))
+        """A clock with its first tick; one of a countdown may tell it later."""
+        begun = Timed(port, slave, clock)
+        declared = clock.fraction("interval"), clock.fraction("shift") or Fraction(0)
+        interval, shift = slave.first_ticks.get(clock.name, declared)
+        if interval is not None:
+            self._set_interval(begun, interval)
+            begun.schedule(self._start + shift)
+        return begun
 
-    def _check(self, port: Port, interval: Fraction, right: bool) -> None:
-        if not right:
-            least = (
-                "0 s or more"
-                if self._network.system.variable(port).get("intervalVariability") == "countdown"
-                else "above 0 s"
-            )
-            raise Problem(f"{port}: expected an interval {least}, got {float(interval):.9g} s")
+    def _set_interval(self, c: Timed, interval: Fraction) -> None:
+        if interval < 0 or (interval == 0 and c.kind not in APERIODIC):
+            least = "0 s or more" if c.kind in APERIODIC else "above 0 s"
+            raise Problem(f"{c.port}: expected an interval {least}, got {float(interval):.9g} s")
+        c.interval = interval
 
     @property
     def next(self) -> float:
         """Time of the next tick [s]; infinite if there is none."""
-        return min((float(c.next) for c in self._timed if c.next is not None), default=np.inf)
+        return min((c.time for c in self._timed), default=np.inf)
 
     def begin(self, t: float, tolerance: float) -> list[Port]:
         """The clocks that are due first at a time [s], all at the same one, are to tick."""
-        due = [c for c in self._timed if c.next is not None and float(c.next) <= t + tolerance]
+        due = [c for c in self._timed if c.time <= t + tolerance]
         first = min((c.next for c in due if c.next is not None), default=None)
         self._due = [c for c in due if c.next == first]
         self._now = Fraction(t) if first is None else first
@@ -110,17 +143,15 @@ class Clocks:
     def finish(self) -> None:
         """After an instant: when do its clocks tick next?"""
         for c in self._timed:
-            kind, ticked = c.clock.get("intervalVariability"), c in self._due
-            if kind in ASKED and (ticked or kind == "countdown"):
+            ticked, changed = c in self._due, False
+            if c.kind in ("tunable", "countdown") or (ticked and c.kind == "changing"):
                 qualifier, interval = c.slave.interval(c.clock)
-                if qualifier == CHANGED:
-                    self._check(c.port, interval, interval > 0 or (kind == "countdown" and interval == 0))
-                    c.interval = interval
-                    c.next = self._now + interval if kind == "countdown" else c.next
-                elif kind == "countdown":
-                    c.next = None if ticked else c.next
-            if ticked and kind != "countdown" and c.next is not None and c.interval is not None:
-                c.next += c.interval
+                if changed := qualifier == CHANGED:
+                    self._set_interval(c, interval)
+            if c.interval is not None and (changed or (ticked and c.kind != "countdown")):
+                c.schedule(self._now + c.interval)  # a new interval begins now
+            elif ticked:
+                c.schedule(None)
 
     def propagate(self) -> list[str]:
         """Let clocks tick until no other one does, with their variables; returns the names of the clocks."""
@@ -134,12 +165,12 @@ class Clocks:
                 ticked.append(port)
             self._active |= self.pending
             self.pending = set()
-            changed = self._copy(sorted(self._active)) and self._chained
+            changed = bool(self._active) and self._copy(sorted(self._active))
             for port in self._outputs:
                 if port not in self._active and self._slave(port).ticks(port.variable):
                     self._active.add(port)
                     ticked.append(port)
-                    changed |= port in self._variables  # which are read in the next round
+                    changed |= port in self._programs  # which are read in the next round
                     self.pending |= {c.target for c in self._wires.get(port, ())}
         raise Unsettled(
             f"{self._network.system.name}: the clocks do not settle: {', '.join(map(str, ticked[-3:]))}"
@@ -151,23 +182,25 @@ class Clocks:
         return slave
 
     def _copy(self, active: list[Port]) -> bool:
-        """Set inputs of clocks that tick from their sources, then read their outputs; has one changed?"""
-        found, network = False, self._network
-        ports = dict.fromkeys(p for clock in active for p in self._variables.get(clock, ()))
-        variables = {port: network.system.variable(port) for port in ports}
-        for port, variable in variables.items():
-            if port in network.held_values:
-                wire = self._sources.get(port)
-                value = network.stored(wire.source if wire else port)
-                if value is None:  # a text that its clock has not given yet
-                    continue
-                value = wire.carried(value, variable) if wire else value
-                network.slaves[port.component].set(port.variable, value)
-                network.store(port, value)
-        for port, variable in variables.items():
-            if variable.causality != "input":
-                found |= network.store(port, network.slaves[port.component].get(port.variable))
-        return found
+        """Set inputs of clocks that tick from their sources, then read the others.
+
+        Returns whether one has changed that may feed an input of a clock.
+        """
+        network = self._network
+        programs = self._joined.get(key := tuple(active))
+        if programs is None:
+            pairs = [self._programs[clock] for clock in active if clock in self._programs]
+            parts = [[pair[k] for pair in pairs] for k in (0, 1)]
+            parts = parts if self._chained else [[*parts[0], *parts[1]]]
+            programs = self._joined[key] = [network.binding.joined(part) for part in parts]
+        network.binding.run(programs[0])
+        if not self._chained:
+            return False
+        values, texts = (network.reals.values, network.integers.values), len(network.texts.changes)
+        before = [array.copy() for array in values]
+        network.binding.run(programs[1])
+        found = any(differing(*pair).any() for pair in zip(values, before, strict=True))
+        return found or len(network.texts.changes) > texts
 
     def saved(self) -> list[Any]:
         """Intervals and next ticks, for a saved run."""
@@ -176,4 +209,5 @@ class Clocks:
     def resume(self, saved: list[Any]) -> None:
         """Go on from a saved run."""
         for c, texts in zip(self._timed, saved, strict=True):
-            c.interval, c.next = (None if text == "None" else Fraction(text) for text in texts)
+            c.interval, tick = (None if text == "None" else Fraction(text) for text in texts)
+            c.schedule(tick)

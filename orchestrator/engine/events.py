@@ -23,13 +23,12 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.clocks import Clocks
 from orchestrator.engine.coupling_inputs import CouplingInputs
-from orchestrator.engine.network import Network
+from orchestrator.engine.network import Network, differing
 from orchestrator.engine.result import Event
 from orchestrator.engine.stepped_fmu import SteppedFmu
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled, settle
-from orchestrator.ssp.system import Port
 
 TIME_TOLERANCE = 1e-11  # of the time of an event [s], and
 SHARE_OF_STEP = 1e-6  # of the step, if that is less
@@ -50,7 +49,7 @@ class Instants:
 
         sink: receives each event at once, as an FMU may end the process later
         """
-        self._sink = sink
+        self._sink, self._state = sink, network.binding.simulation.events
         self._network, self._times = network, times
         self._members: dict[str, RunningFmu] = {
             name: slave
@@ -73,6 +72,13 @@ class Instants:
             )
             for s in lower:
                 s.at_end = interface.event_mode and (near if s.fmu_degree and states else exact)
+        sources = {c.target: str(c.source) for c in network.connections}
+        arrays = [(array, *network.discrete[array.name]) for array in (network.reals, network.integers)]
+        self._discrete = [
+            (array, array.indices(ports), before, [sources.get(p, str(p)) for p in ports])
+            for array, ports, before in arrays
+            if ports
+        ]
         self.happened = list[Event]()
         self._close, self._latest = 0, deque[str](maxlen=10)
         self._clocks: Clocks | None = None
@@ -80,7 +86,7 @@ class Instants:
 
     def fill(self) -> None:
         """Fill the structures for C."""
-        sim, state = self._network.binding.simulation, self._network.binding.simulation.events
+        sim, state = self._network.binding.simulation, self._state
         state.used, state.located, state.next = True, bool(sim.rollback), np.inf
         rounding = 8 * ulp(max(abs(self._times.start), abs(self._times.stop)))
         state.tolerance = max(min(TIME_TOLERANCE, SHARE_OF_STEP * self._times.step), rounding)
@@ -109,11 +115,10 @@ class Instants:
         if never:
             got = "expected an event at one time when a step is repeated, got different times"
             raise Problem(f"{', '.join(asked)}: after t = {t:.9g} s: {got}")
-        state = self._network.binding.simulation.events
         asked += [
             name
             for name, slave in self._members.items()
-            if slave.next_event <= t + state.tolerance and name not in asked
+            if slave.next_event <= t + self._state.tolerance and name not in asked
         ]
         changed = self._instant(t)
         for name in asked:  # an event at the beginning of a step that changes nothing is later
@@ -137,19 +142,7 @@ class Instants:
         """
         if not self._clocks:
             return self._once(t)
-        binding, fmus = self._network.binding, [slave.fmu for slave in self._members.values()]
-        state, changed = binding.simulation.events, list[str]()
-        for fmu in fmus:  # the floating-point environment is restored once, not after each of many calls
-            fmu.after = None
-        try:
-            return self._ticked(t, state, changed)
-        finally:
-            binding.restore_environment(*fmus)
-            for fmu in fmus:
-                fmu.after = binding.restore_environment
-
-    def _ticked(self, t: float, state: Any, changed: list[str]) -> list[str]:
-        assert self._clocks is not None
+        state, changed = self._state, list[str]()
         for _ in range(MAX_EVENT_ITERATIONS):
             due = self._clocks.begin(t, state.tolerance)
             changed += [*map(str, due), *self._once(t)]
@@ -178,31 +171,27 @@ class Instants:
         for slave in self._members.values():
             slave.leave_events()
         if ended:
+            self._state.ends = True
             raise self._members[ended].ended_at(t)
         for name, time in times.items():
             if not time > t:
                 raise Problem(f"{name}: expected the next event after t = {t:.9g} s, got {time:.9g} s")
-        state = self._network.binding.simulation.events
-        state.next = min(times.values(), default=np.inf)
+        self._state.next = min(times.values(), default=np.inf)
         return [*changed]
 
     def _copied(self, t: float) -> list[str]:
         """Copy values along all connections; returns the signals, not continuous, that have changed."""
         network, found = self._network, list[str]()
         texts = len(network.texts.changes)
-        network.binding.call("simulation_exchange", c_double(t))
-        for array in (network.reals, network.integers):
-            ports, before = network.discrete[array.name]
-            values = array.values[array.indices(ports)]
-            same = (values == before) | ((values != values) & (before != before))  # NaN stays NaN
-            found += [str(self._source(ports[i])) for i in np.flatnonzero(~same)]
-            before[:] = values
+        network.binding.call("event_exchange", c_double(t))
+        for array, indices, before, sources in self._discrete if self._state.changed else ():
+            values = array.values[indices]
+            if (places := np.flatnonzero(differing(values, before))).size:
+                found += [sources[i] for i in places]
+                before[:] = values
         if found:
             for call in network.instant_calls:
                 call()
         if self._clocks:
             found += self._clocks.propagate()
         return [*found, *(name for _, name, _ in network.texts.changes[texts:])]
-
-    def _source(self, port: Port) -> Port:
-        return next((c.source for c in self._network.connections if c.target == port), port)

@@ -164,7 +164,9 @@ LOOP_STAGE = -2  # ports of algebraic loop i have the stage LOOP_STAGE - i
 
 @dataclass(frozen=True)
 class Block:
-    """A slice of an array: variables of one component and one FMI type with the same stages of the exchange.
+    """A slice of an array: variables of one component, one FMI type, and the same stages of the exchange.
+
+    They belong to the same clocks, if they belong to any.
 
     first   index of the first variable
     """
@@ -187,11 +189,12 @@ class SignalArray:
     def add(self, system: System, stages: Mapping[Port, tuple[int, ...]]) -> list[Block]:
         """Append ports, grouped into blocks."""
 
-        def group_of(port: Port) -> tuple[str, str, tuple[int, ...]]:
-            return port.component, system.variable(port).function_type, stages[port]
+        def group_of(port: Port) -> tuple[str, str, tuple[int, ...], tuple[int | None, ...]]:
+            variable = system.variable(port)
+            return port.component, variable.function_type, stages[port], variable.clocks
 
         blocks = []
-        for (component, _, same), ports in grouped(_by_array(system, stages), group_of).items():
+        for (component, _, same, _), ports in grouped(_by_array(system, stages), group_of).items():
             blocks.append(Block(component, same, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
@@ -205,6 +208,12 @@ class SignalArray:
     def indices(self, ports: Iterable[Port]) -> NDArray[np.int64]:
         """The indices of ports, shape (n,)."""
         return np.array([self.index[p] for p in ports], dtype=np.int64)
+
+
+def differing(values: Buffer, before: Buffer) -> NDArray[np.bool_]:
+    """Which values are others than before? NaN stays NaN."""
+    different: NDArray[np.bool_] = (values != before) & ((values == values) | (before == before))
+    return different
 
 
 def _by_array(system: System, ports: Iterable[Port]) -> list[Port]:
@@ -315,24 +324,12 @@ class Network:
         """Is a variable set or read only while its clock ticks, see `clocks`?"""
         return self.system.variable(port).clocked
 
-    def stored(self, port: Port) -> Value | None:
-        """The latest value of a signal in the arrays of the run; None for a text that is not known yet."""
+    def store(self, port: Port, value: Value) -> None:
+        """Store the value of a signal."""
         if not self.system.variable(port).is_number:
-            return self.texts.last.get(port)
-        array = self._array(port)
-        return array.values[array.index[port]].item()  # type: ignore[no-any-return]
-
-    def store(self, port: Port, value: Value) -> bool:
-        """Store the value of a signal; is it another one?"""
-        variable = self.system.variable(port)
-        if not variable.is_number:
-            return self.texts.store(port, str(value), self.slaves[port.component].log.time)
-        array = self._array(port)
-        at = array.index.get(port)
-        if at is None or array.values[at] == value:
-            return False
-        array.values[at] = value
-        return True
+            self.texts.store(port, str(value), self.slaves[port.component].log.time)
+        elif (at := self._array(port).index.get(port)) is not None:
+            self._array(port).values[at] = value
 
     # ---- calls
 
@@ -343,11 +340,15 @@ class Network:
 
     def get_output_calls(self, component: str) -> list[Call]:
         """Calls that read all connected outputs of a component, for sequential masters."""
-        return [self._get_call(*block) for block in self._blocks_of(self.connected_outputs(component))]
+        return self.get_calls(self.connected_outputs(component))
 
     def copy_and_set_calls(self, connections: Sequence[Connection]) -> list[Any]:
         """Calls that copy values along connections and set the inputs."""
-        return [*self._copies(connections), *self.set_calls({c.target for c in connections})]
+        return [*self.copies(connections), *self.set_calls({c.target for c in connections})]
+
+    def get_calls(self, ports: set[Port]) -> list[Call]:
+        """Calls that read the blocks with these ports."""
+        return [self._get_call(*block) for block in self._blocks_of(ports)]
 
     def set_calls(self, ports: set[Port]) -> list[Call]:
         """Calls that set the blocks with these ports."""
@@ -366,7 +367,8 @@ class Network:
     def _set_call(self, array: SignalArray, block: Block) -> Call:
         return self.slaves[block.component].writer([p.variable for p in block.ports], array.slice(block))
 
-    def _copies(self, connections: Iterable[Connection]) -> list[Any]:
+    def copies(self, connections: Iterable[Connection]) -> list[Any]:
+        """Instructions that copy values along connections."""
         by_types = grouped(connections, lambda c: (self._array(c.source).name, self._array(c.target).name))
         return [self._copy(by_types[types]) for types in sorted(by_types, reverse=True)]
 
@@ -433,7 +435,7 @@ class Network:
             calls += [self._get_call(array, b) for array, b in output_blocks if stage and stage in b.stages]
             loops_with_stages = zip(self.loops, self.order.cycles, strict=True)
             calls += [loop.instruction for loop, (_, stages) in loops_with_stages if stage in stages]
-            calls += self._copies([c for c in connections if stage in self.order.stages[c.source]])
+            calls += self.copies([c for c in connections if stage in self.order.stages[c.source]])
             inputs = [(array, b) for array, b in input_blocks if not self._is_held(b.ports[0])]
             calls += [self._set_call(array, b) for array, b in inputs if stage in b.stages]
         return [*calls, self.texts.exchange] if self.texts.plain else calls
@@ -488,17 +490,16 @@ class Texts:
         self.last = dict[Port, str]()
         self.changes = list[tuple[float, str, str]]()
 
-    def store(self, port: Port, value: str, t: float) -> bool:
-        """Store a value, and set the inputs that belong to no clock, if it is another one; is it?"""
+    def store(self, port: Port, value: str, t: float) -> None:
+        """Store a value, and set the inputs that belong to no clock, if it is another one."""
         if self.last.get(port) == value:
-            return False
+            return
         self.last[port] = value
         if port in self.wires:
             self.changes.append((t, str(port), value))
         for target in self.wires.get(port, ()):
             if not self._system.variable(target).clocked:
                 self._slaves[target.component].set(target.variable, value)
-        return True
 
     def exchange(self) -> None:
         """Read and store the outputs that belong to no clock."""

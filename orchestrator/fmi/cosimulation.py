@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,10 @@ from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
 UNUSED = ("sources/", "documentation/")  # by a running FMU
+UNKNOWN, CHANGED = 0, 2  # fmi3IntervalNotYetKnown, fmi3IntervalChanged
+APERIODIC = ("changing", "countdown")  # clocks whose interval may be 0
+INTERVAL = "GetIntervalDecimal", "GetIntervalFraction"
+SHIFT = "GetShiftDecimal", "GetShiftFraction"
 LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
 
@@ -42,7 +46,7 @@ class RunningFmu:
     event_mode   it has event mode between steps: variables that are not continuous are set there
     in_events    it is in event mode
     next_event   time of its next time event, as far as it has event mode between steps [s]
-    first_intervals   of clocks that tick by time and declare no interval [s]
+    first_ticks   of clocks that declare no interval: interval, and time from the start to the first tick [s]
     """
 
     event_mode = in_events = _asks = False
@@ -52,8 +56,8 @@ class RunningFmu:
         """`after`: see `FmuInstance`."""
         self.name, self.interface, self.log = name, interface, Log(name, interface.marks)
         self._label, self._stepping, self._after = f"{name} ({fmu})", False, after
-        self.first_intervals = dict[str, Fraction]()
-        self._clock_calls = dict[tuple[str, str], tuple[Call, Any]]()
+        self.first_ticks = dict[str, tuple[Fraction, Fraction]]()
+        self._clock_calls = dict[tuple[str, str], tuple[Call, Sequence[Any]]]()
         self._cleanup = ExitStack()
         try:
             self._open(fmu)
@@ -371,42 +375,68 @@ class RunningFmu:
 
     def tick(self, clock: str) -> None:
         """Let an input clock tick, in event mode."""
-        self._clock_call("SetClock", clock)[0]()
+        self._clock_call("SetClock", clock, ctypes.c_bool)[0]()
 
     def ticks(self, clock: str) -> bool:
         """Does an output clock tick?"""
-        call, ticks = self._clock_call("GetClock", clock)
+        call, (ticks,) = self._clock_call("GetClock", clock, ctypes.c_bool)
         call()
         return bool(ticks[0])
 
-    def _clock_call(self, function: str, clock: str) -> tuple[Call, Any]:
-        """A bound call of a clock, and its argument."""
+    def _clock_call(self, function: str, clock: str, *types: Any) -> tuple[Call, Sequence[Any]]:
+        """A bound call of a clock, made once, and its arguments, one value of each type, which begin as 1."""
         if (function, clock) not in self._clock_calls:
             references = self.fmu.references([self.interface.variables[clock].reference])
-            ticks = (ctypes.c_bool * 1)(function == "SetClock")
-            call = self.fmu.bound(function, *references, ticks, variables=[clock])
-            self._clock_calls[function, clock] = call, ticks
+            arguments = [(type_ * 1)(1) for type_ in types]
+            call = self.fmu.bound(function, *references, *arguments, variables=[clock])
+            self._clock_calls[function, clock] = call, arguments
         return self._clock_calls[function, clock]
 
     def interval(self, clock: FmuVariable) -> tuple[int, Fraction]:
         """fmi3IntervalQualifier and interval of a clock [s], as a fraction if the FMU has them."""
-        references, qualifiers = self.fmu.references([clock.reference]), (ctypes.c_int * 1)()
+        interval, qualifier = self._seconds(clock, *INTERVAL, ctypes.c_int)
+        return qualifier[0], interval
+
+    def shift(self, clock: FmuVariable) -> Fraction:
+        """Time from the start to the first tick of a periodic clock [s]."""
+        declared = clock.fraction("shift")
+        if declared is not None or not any(map(self.fmu.library.has, SHIFT)):
+            return declared or Fraction(0)
+        shift, _ = self._seconds(clock, *SHIFT)
+        if shift < 0:
+            got = f"got {float(shift):.9g} s"
+            raise Problem(f"{self.name}.{clock.name}: expected a shift of 0 s or more, {got}")
+        return shift
+
+    def _seconds(
+        self, clock: FmuVariable, as_decimal: str, as_fraction: str, *more: Any
+    ) -> tuple[Fraction, Any]:
+        """A time of a clock [s], exactly as the FMU gives it, and the last of the other results."""
         if clock.get("supportsFraction") == "true":
-            counters, resolutions = (ctypes.c_uint64 * 1)(), (ctypes.c_uint64 * 1)(1)
-            self.fmu.call(
-                "GetIntervalFraction", *references, counters, resolutions, qualifiers, variables=[clock.name]
-            )
-            return qualifiers[0], Fraction(counters[0], resolutions[0] or 1)
-        intervals = (ctypes.c_double * 1)()
-        self.fmu.call("GetIntervalDecimal", *references, intervals, qualifiers, variables=[clock.name])
-        if not np.isfinite(intervals[0]):
-            raise Problem(f"{self.name}.{clock.name}: expected an interval in seconds, got {intervals[0]}")
-        return qualifiers[0], Fraction(repr(intervals[0]))
+            call, results = self._clock_call(as_fraction, clock.name, ctypes.c_uint64, ctypes.c_uint64, *more)
+            call()
+            return Fraction(results[0][0], results[1][0] or 1), results[-1]
+        call, results = self._clock_call(as_decimal, clock.name, ctypes.c_double, *more)
+        call()
+        if more and results[-1][0] == UNKNOWN:
+            return Fraction(0), results[-1]
+        if not np.isfinite(seconds := results[0][0]):
+            name, what = f"{self.name}.{clock.name}", "a shift" if as_decimal in SHIFT else "an interval"
+            raise Problem(f"{name}: expected {what} in seconds, got {seconds}")
+        return Fraction(repr(seconds)), results[-1]
 
     def enter_events(self) -> None:
         """Enter event mode, at the end of a step."""
-        self.fmu.call("EnterEventMode")
+        self._enter_events()
         self.in_events = True
+
+    @cached_property
+    def _enter_events(self) -> Call:
+        return self.fmu.bound("EnterEventMode")
+
+    @cached_property
+    def _enter_steps(self) -> Call:
+        return self.fmu.bound("EnterStepMode")
 
     def update(self) -> tuple[bool, bool, float]:
         """One event iteration, see `FmuInstance.update_discrete_states`."""
@@ -416,7 +446,7 @@ class RunningFmu:
 
     def leave_events(self) -> None:
         """Leave event mode, ready for a step."""
-        self.fmu.call("EnterStepMode")
+        self._enter_steps()
         self.in_events = False
 
     def event_alone(self, write: Call) -> None:
@@ -473,14 +503,22 @@ class CoSimulationFmu(RunningFmu):
         super().setup(start, stop, tolerance)
 
     def exit(self) -> None:
-        """Leave initialisation mode, with the first event if there is event mode, and enter step mode."""
+        """Leave initialisation mode, with the first event if there is event mode, and enter step mode.
+
+        Before, clocks that tick by time tell intervals that are not declared (FMI 3.0.2, 2.2.8.3).
+        """
+        clocks = [v for v in self.interface.of("input") if v.kind == "Clock"] if self.event_mode else []
+        for v in clocks:
+            kind = v.get("intervalVariability")
+            if kind == "triggered" or v.fraction("interval") is not None:
+                continue
+            qualifier, interval = self.interval(v)
+            delay = interval if kind in APERIODIC else self.shift(v)
+            if kind != "countdown" or qualifier == CHANGED:
+                self.first_ticks[v.name] = interval, delay
         super().exit()
         if self.event_mode:
             self.in_events = True
-            clocks = [v for v in self.interface.of("input") if v.kind == "Clock"]
-            timed = [v for v in clocks if v.get("intervalVariability") not in ("triggered", "countdown")]
-            asked = [v for v in timed if v.fraction("interval") is None]
-            self.first_intervals = {v.name: self.interval(v)[1] for v in asked}
             self._settle()
 
     def close(self) -> None:
@@ -589,7 +627,8 @@ class CoSimulationFmu(RunningFmu):
         if status:
             self.fmu.check_status(status, "the step")
         if end.early:
-            text = f"ended early at {at}{'' if outside else ', which was not allowed'}"
+            forbidden = ", expected its time" if self.event_mode else ", which was not allowed"
+            text = f"ended early at {at}{'' if outside else forbidden}"
             raise Problem(self.log.error_message("the step", text))
         if end.event and self.event_mode:
             self._asks = True

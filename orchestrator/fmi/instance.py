@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,7 @@ TYPES: dict[int, dict[str, Any]] = {  # FMI version -> type in the name of a fun
 }
 LAST_TIME, TERMINATED = 2, 3  # fmi2StatusKind
 STEP = function_number("DoStep")
+EVENT_FLAGS = ("needed", "terminate", "nominals", "values", "defined")
 MAX_EVENT_ITERATIONS = 100  # at one event
 GUARD_BYTES = 64  # after the buffer of a serialised state, to detect a write beyond its end
 CallHook = Callable[[str, float], None]
@@ -60,7 +61,7 @@ class CallFailed(Problem):
         super().__init__(message)
 
 
-class Unsettled(Problem):
+class Unsettled(CallFailed):
     """Discrete states that still change after many event iterations."""
 
 
@@ -71,10 +72,13 @@ class Crashed(Exception):
 class EventInfo(ctypes.Structure):
     """fmi2EventInfo."""
 
-    _fields_ = [
-        *((n, ctypes.c_int) for n in ("needed", "terminate", "nominals", "values", "defined")),
-        ("next", ctypes.c_double),
-    ]
+    _fields_ = [*((name, ctypes.c_int) for name in EVENT_FLAGS), ("next", ctypes.c_double)]
+
+
+class EventFlags(ctypes.Structure):
+    """The results of fmi3UpdateDiscreteStates, in their order."""
+
+    _fields_ = [*((name, ctypes.c_bool) for name in EVENT_FLAGS), ("next", ctypes.c_double)]
 
 
 @dataclass(frozen=True)
@@ -436,13 +440,19 @@ class FmuInstance:
 
     def update_discrete_states(self) -> tuple[bool, bool, float]:
         """One event iteration: (another iteration needed, end of the simulation, next time event [s])."""
-        if self.fmi == 2:
-            info = EventInfo()
-            self.call("UpdateDiscreteStates", ctypes.byref(info))
-            return bool(info.needed), bool(info.terminate), info.next if info.defined else math.inf
-        flags, next_event = [self.flag() for _ in range(5)], ctypes.c_double()
-        self.call("UpdateDiscreteStates", *map(ctypes.byref, flags), ctypes.byref(next_event))
-        return flags[0].value, flags[1].value, next_event.value if flags[4].value else math.inf
+        call, info = self._event_update
+        ctypes.memset(ctypes.byref(info), 0, ctypes.sizeof(info))
+        call()
+        return bool(info.needed), bool(info.terminate), info.next if info.defined else math.inf
+
+    @cached_property
+    def _event_update(self) -> tuple[BoundCall, Any]:
+        """A bound call of UpdateDiscreteStates, and its results."""
+        info = EventInfo() if self.fmi == 2 else EventFlags()
+        places = (
+            [0] if self.fmi == 2 else [getattr(EventFlags, name).offset for name in (*EVENT_FLAGS, "next")]
+        )
+        return self.bound("UpdateDiscreteStates", *(ctypes.byref(info, place) for place in places)), info
 
 
 EventUpdate = Callable[[], tuple[bool, bool, float]]

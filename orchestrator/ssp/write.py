@@ -4,13 +4,15 @@ The archive contains the system structure, the FMUs, parameter sets, and the oth
 the system was loaded from.
 """
 
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_zip
-from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation
+from orchestrator.base.units import IDENTITY, DeclaredUnit
 from orchestrator.base.xml import generation_tool, rendered_xml
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.annotations import COMMON, SHARED, coupling_attributes
@@ -114,8 +116,8 @@ def _typed(values: Values) -> Values:
 
 def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
     """The content of SystemStructure.ssd."""
-    ports = {name: _ports(s, c) for name, c in s.components.items()}
-    variables = {name: c.interface.variables for name, c in s.components.items()}
+    ports = {name: _ports(s, c, version) for name, c in s.components.items()}
+    variables = {name: {**c.interface.variables, **c.interface.arrays} for name, c in s.components.items()}
     units = [v.unit for of_component in variables.values() for v in of_component.values()]
     units += [i.unit for i in s.inputs.values()] + [o.unit for o in s.outputs.values()]
     starts = {name: start for name, inlet in s.inputs.items() if (start := _start(s, inlet))}
@@ -129,7 +131,7 @@ def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
         system=s,
         fmu_type=FMU,
         identity=IDENTITY,
-        connectors=list(_system_connectors(s)),
+        connectors=list(_system_connectors(s, version)),
         start=_typed(starts),
         bound=bound,
         boxes={name: _box(k, sides) for k, (name, sides) in enumerate(ports.items())},
@@ -138,10 +140,12 @@ def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
             for name, sides in ports.items()
         },
         component_start={
-            name: _typed({v: (variables[name][v], value) for v, value in c.start.items()})
+            name: _with_lists(
+                _typed({v: (variables[name][v], value) for v, value in c.start.items()}), version
+            )
             for name, c in s.components.items()
         },
-        connections=list(_connections(s)),
+        connections=list(_connections(s, version)),
         units=defined_units(units),
         decimal=None if step is None else f"{step:.12f}".rstrip("0"),  # OMSimulator allows no exponent
         coupling=coupling_attributes(s.suggestion),
@@ -150,14 +154,57 @@ def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
     )
 
 
-def _ports(s: System, component: Component) -> tuple[list[str], list[str]]:
+def _with_lists(values: Values, version: str) -> Values:
+    """The values, in SSP 2.0 those of whole arrays of numbers as lists."""
+    result = dict[str, tuple[FmuVariable, Value]]()
+    for name, (variable, value) in values.items():
+        array = variable.array if version != "1.0" and variable.kind in ("Real", "Integer") else None
+        if array and all(e in values for e in array.elements):
+            result[array.name] = array, " ".join(repr(values[e][1]) for e in array.elements)
+        else:
+            result[name] = variable, value
+    return result
+
+
+def _variable(s: System, port: Port) -> FmuVariable:
+    """The variable of a port; that of a port of the system is the first one that it is connected with."""
+    if port.component or port.variable not in (*s.inputs, *s.outputs):
+        return s.variable(port)
+    inlet = s.inputs.get(port.variable)
+    if inlet is None:
+        return s.variable(s.outputs[port.variable].source)
+    return s.variable(inlet.targets[0][0] if inlet.targets else port)
+
+
+def _place(s: System, port: Port, version: str) -> tuple[Port, str]:
+    """The connector of a port, in SSP 2.0 that of its whole array, and the indices of its element there."""
+    variable = _variable(s, port)
+    array = variable.array
+    if array is None or version == "1.0":
+        return port, ""
+    parts = [e.removeprefix(array.name) for e in array.elements]
+    part = parts[variable.position]
+    name = array.name if port.component else port.variable.removesuffix(part)
+    whole = port.component or {f"{name}{p}" for p in parts} <= {
+        *(s.inputs if port.variable in s.inputs else s.outputs)
+    }
+    if not whole or name == port.variable:
+        return port, ""
+    return Port(port.component, name), part[1:-1].replace(",", " ")
+
+
+def _ports(s: System, component: Component, version: str) -> tuple[list[str], list[str]]:
     """Names of the connected inputs and of all outputs of a component, in the order of the FMU."""
     fed = {c.target for c in s.connections} | {p for i in s.inputs.values() for p, _ in i.targets}
     read = {c.source for c in s.connections} | {o.source for o in s.outputs.values()}
     ports = [(Port(component.name, v.name), v) for v in component.interface.variables.values()]
     inputs = [v.name for port, v in ports if port in fed]
-    outputs = [v.name for port, v in ports if v.causality == "output" or port in read]
-    return inputs, [name for name in outputs if _has_type(component.interface.variables[name])]
+    outputs = [v.name for port, v in ports if (v.causality == "output" or port in read) and _has_type(v)]
+    first, last = (
+        [*dict.fromkeys(_place(s, Port(component.name, name), version)[0].variable for name in names)]
+        for names in (inputs, outputs)
+    )
+    return first, last
 
 
 def _box(place: int, sides: tuple[list[str], list[str]]) -> tuple[float, float, float, float]:
@@ -171,14 +218,16 @@ def _beside(names: Collection[str], x: float) -> Iterator[tuple[str, Point]]:
     return ((name, (x, 1 - n / (len(names) + 1))) for n, name in enumerate(names, 1))
 
 
-def _system_connectors(s: System) -> Iterator[tuple[str, str, FmuVariable, DeclaredUnit | None, Point]]:
+def _system_connectors(
+    s: System, version: str
+) -> Iterator[tuple[str, str, FmuVariable, DeclaredUnit | None, Point]]:
     """Connectors of the system: inputs on the left side, outputs on the right side."""
-    for name, at in _beside(s.inputs, 0.0):
-        targets = s.inputs[name].targets
-        variable = s.variable(targets[0][0] if targets else Port("", name))
-        yield name, "input", variable, s.inputs[name].unit, at
-    for name, at in _beside(s.outputs, 1.0):
-        yield name, "output", s.variable(s.outputs[name].source), s.outputs[name].unit, at
+    for kind, ends, x in (("input", s.inputs, 0.0), ("output", s.outputs, 1.0)):
+        first = {_place(s, Port("", name), version)[0].variable: name for name in reversed([*ends])}
+        for name, at in _beside([*first][::-1], x):
+            variable = _variable(s, Port("", first[name]))
+            whole = variable if name == first[name] else variable.array or variable
+            yield name, kind, whole, ends[first[name]].unit, at
 
 
 def _start(s: System, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
@@ -193,21 +242,35 @@ def _start(s: System, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
     return replace(variable, unit=inlet.unit), value
 
 
-def _connections(s: System) -> Iterator[tuple[Port, Port, LinearTransformation, str, bool]]:
+def _connections(s: System, version: str) -> Iterator[tuple[Any, ...]]:
     """Connections between components, then those of inputs and outputs of the system.
 
-    Each with its map, the type of values in its table, and whether the reader must suppress its own unit
-    conversion, which the map contains.
+    Each with the indices at both ends, its map, the type of values in its table, and whether the reader must
+    suppress its own unit conversion, which the map contains. Arrays are connected whole if all their
+    elements are.
     """
     system_units = {i.name: i.unit for i in s.inputs.values()}
     system_units |= {o.name: o.unit for o in s.outputs.values()}
     ends = [(c.source, c.target, c.map) for c in s.connections]
     ends += [(Port("", i.name), p, linear) for i in s.inputs.values() for p, linear in i.targets]
     ends += [(o.source, Port("", o.name), o.map) for o in s.outputs.values()]
-    for source, target, linear in ends:
+    placed = [(*_place(s, source, version), *_place(s, target, version)) for source, target, _ in ends]
+    together = Counter(
+        (*place[::2], linear)
+        for place, (*_, linear) in zip(placed, ends, strict=True)
+        if place[1] == place[3]
+    )
+    done = set[Any]()
+    for (start, of_start, end, of_end), (source, target, linear) in zip(placed, ends, strict=True):
         units = [s.variable(p).unit if p.component else system_units[p.variable] for p in (source, target)]
         converted = linear != IDENTITY or (units[0] != units[1] and None not in units)
         if linear.table and (linear.factor, linear.offset) != (1.0, 0.0):
             raise Problem(f"{source} -> {target}: expected a line or a mapping of values to write, got both")
         kind = "Boolean" if s.variable(source).kind == "Boolean" else "Integer"
-        yield source, target, linear, kind, converted
+        arrays = [v.array for p in (source, target) if (v := _variable(s, p)).array]
+        if of_start and all(together[start, end, linear] == a.size for a in arrays if a):
+            if (start, end) in done:
+                continue
+            done.add((start, end))
+            of_start = of_end = ""
+        yield start, end, of_start, of_end, linear, kind, converted

@@ -12,7 +12,10 @@
  *
  * `how`: 0 stops at an event; 1 tells it at the end of the step; 2 goes back to the beginning of the step first; what is
  * wrong: 3 stops there for ever; 4 the next event is in the past; 5 discrete states never settle; 6 discards each step
- * after t = 0.55; 7 requests the end at its first event.
+ * after t = 0.55; 7 requests the end at its first event. After t = 0.5 it stops early 8 at NaN, 9 before its step, 10 after it;
+ * 11 the next event is at NaN; from 100 on, the seed: at random one of
+ * these, 13 an event anywhere in its step, 14 at its end, an update, or nothing;
+ * 15 the third event is the end.
  */
 #include <math.h>
 #include <stdlib.h>
@@ -87,6 +90,20 @@ WHOLES(Boolean)
 
 /* ---- events */
 
+/* Not of a state: a step that is repeated has another one. */
+static unsigned chance(const Instance *m) {
+    static unsigned random = 0;
+    random = (random ? random : (unsigned)m->i[HOW]) * 1103515245u + 12345u;
+    return random >> 16;
+}
+
+/* The misuse that is due. */
+static int misuse(const Instance *m) {
+    if (m->i[HOW] < 100) return m->time > 0.5 && m->i[HOW] < 12 ? m->i[HOW] : 0;
+    const unsigned k = chance(m) % 1024;
+    return k < 4 ? (int[]){8, 9, 10, 4}[k] : k < 6 ? 11 : k < 150 ? 13 : k < 250 ? 14 : k < 400 ? 5 : 0;
+}
+
 static double following(const Instance *m) { return m->r[PERIOD] * (m->i[COUNT] + 1); }
 static int on(const Instance *m, double y, int before) { return before ? y < m->r[HIGH] - 1e-12 : y <= m->r[LOW] + 1e-12; }
 
@@ -102,7 +119,7 @@ static int update(Instance *m) {
     if (NAMED(m, TICKER) && m->mode == 2 && m->time >= following(m) - 1e-9) m->i[COUNT]++;
     m->r[LEVEL] = m->i[COUNT];
     if (NAMED(m, COPY)) m->i[OUT] = m->i[NOT] ? !m->i[IN] : m->i[IN];
-    return m->i[HOW] == 5 && m->time > 0.5;
+    return misuse(m) == 5;
 }
 
 /* The time of the first event in a step, for the inputs that it has; infinite without one. */
@@ -147,6 +164,10 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
     move(m, t, stop ? when - t : h);
     *event = m->used && when <= t + h, *early = stop, *reached = m->time;
     *end = *event && m->i[HOW] == 7;
+    const int wrong = misuse(m);
+    if (wrong >= 8 && wrong <= 10) *event = *early = fmi3True, *reached = wrong == 8 ? NAN : wrong == 9 ? t - 1.0 : t + 3.0 * h;
+    if (wrong == 13) *event = *early = fmi3True, *reached = t + (double)(chance(m) % 9) / 8.0 * h;
+    if (wrong == 14) *event = fmi3True;
     while (!m->used && inside) { /* without event mode it handles its events itself, if late */
         m->mode = 2, inside = update(m), m->mode = 1;
         if (NAMED(m, TICKER)) inside = following(m) <= t + h;
@@ -160,9 +181,10 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *a, fmi3Boolean 
                                     fmi3Float64 *e) {
     Instance *m = c;
     *a = update(m) != 0;
-    *t = *n = *v = fmi3False;
-    *d = NAMED(m, TICKER) || (m->i[HOW] == 4 && m->time > 0.5);
-    *e = m->i[HOW] == 4 && m->time > 0.5 ? m->time - 0.1 : following(m);
+    *n = *v = fmi3False, *t = m->i[HOW] == 15 && m->i[COUNT] == 3;
+    const int wrong = misuse(m);
+    *d = NAMED(m, TICKER) || wrong == 4 || wrong == 11;
+    *e = wrong == 4 ? m->time - 0.1 : wrong == 11 ? NAN : following(m);
     return m->mode == 2 ? fmi3OK : fmi3Error;
 }
 

@@ -1,6 +1,7 @@
 """Events act at their time: all FMUs stop there, go through one instant, begin anew. By closed forms."""
 
 import csv
+import re
 from math import log, sqrt
 
 import numpy as np
@@ -308,6 +309,10 @@ WRONG = {
         0.9,
     ),
     6: ("relay: the step failed at t = 0.55 s with status discard", 0.5),
+    8: ("relay: the step at t = 0.5 s ended early at t = nan s, expected its time", 0.5),
+    9: ("relay: the step at t = 0.5 s ended early at t = -0.5 s, a time outside of the step from 0.5 s", 0.5),
+    10: ("relay: the step at t = 0.5 s ended early at t = 0.53 s, a time outside of the step from", 0.5),
+    11: ("relay: expected the next event after t = 0.916290732 s, got nan s", 0.9),
 }
 
 
@@ -321,6 +326,23 @@ def test_misuse_of_events_ends_the_run_with_its_rows(stopping, how):
     assert message in str(failed.value), failed.value
     assert "\n" not in str(failed.value)
     assert failed.value.result.trace.time[-1] >= last - 1e-9
+
+
+@pytest.mark.parametrize("master", [Coupling("jacobi"), Coupling("hermite")], ids=["jacobi", "hermite"])
+def test_misuse_at_random_ends_in_one_line(stopping, master):
+    """Forty runs whose FMU stops, asks and announces as it likes: rows in order, and at most one line."""
+    system, ends = assemble({"relay": stopping("relay"), "room": stopping("room")}, HEATED), set()
+    for seed, step in enumerate((0.01, 0.07, 0.13, 0.5) * 10, 100):
+        given, message = {"relay.how": seed}, ""
+        try:
+            result = run(system, stop=2.0, step=step, set=given, master=master, isolate=False)
+        except RunFailed as failed:
+            result, message = failed.result, str(failed)
+        assert "\n" not in message
+        ends.add(re.sub(r"-?\d\S*", "", message))
+        assert (np.diff(result.trace.time) > 0).all()
+        assert np.isfinite(result["room.T"]).all()
+    assert len(ends) > 2, ends
 
 
 def test_an_event_in_the_past_is_refused(stopping):
@@ -371,3 +393,15 @@ def test_an_fmu_may_end_the_run_at_an_event(stopping):
     )
     assert result.complete
     assert result.time[-1] == 0.25
+
+
+@pytest.mark.parametrize("period", [0.2, 0.21])
+def test_the_row_of_the_event_that_ends_a_run_is_kept(stopping, period):
+    """In event mode, at a point or between two: the values after it, of all FMUs, are the last row."""
+    system = assemble({"t": stopping("ticker"), "s": stopping("sum")}, ["t.level -> s.u"])
+    given = {"t.how": 15, "t.period": period}
+    result = run(system, set=given, stop=1.0, step=0.1, isolate=False)
+    assert result.time[-1] == pytest.approx(3 * period, abs=1e-9)
+    assert (result["t.count"][-1], result["t.level"][-1]) == (3, 3.0)
+    assert result["s.s"][-1] == pytest.approx((1 + 2) * period, abs=1e-9)
+    assert (np.diff(result.time) > 0).all()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kit.any_fmu.models import Workshop
+from kit.any_fmu.models import Workshop, ticking_fmu
 
 from orchestrator import Coupling, Master, System, Trace, assemble, reference, run
 
@@ -221,19 +221,32 @@ def test_a_discrete_signal_acts_from_the_next_point_on(fmu, each, step, master):
     assert effects + why in result.card.notes
 
 
+ticks = st.tuples(st.integers(1, 30), st.integers(0, 20))  # interval and shift of a clock [s / 21]
+
+
+@pytest.fixture(scope="module")
+def ticking(tmp_path_factory):
+    """An FMU whose clock has an interval and a shift in 21ths of a second, which it tells itself."""
+    interval = 'intervalVariability="fixed" supportsFraction="true"'
+    return ticking_fmu(tmp_path_factory.mktemp("ticking") / "unit.fmu", interval)
+
+
 levels = st.tuples(st.floats(0.1, 0.4), st.floats(0.02, 0.5)).map(lambda pair: (pair[0], pair[0] + pair[1]))
 
 
 @every_master
 @settings(max_examples=10)
-@given(jumps=jumps, levels=levels, step=st.sampled_from([0.05, 0.1, 0.25]))
-def test_jumps_and_events_act_at_their_times(stopping, master, jumps, levels, step):
-    """A relay switches a room, a scenario drives an integrator in event mode: at any step."""
+@given(jumps=jumps, levels=levels, step=st.sampled_from([0.05, 0.1, 0.25]), ticks=ticks)
+def test_jumps_and_events_act_at_their_times(stopping, ticking, master, jumps, levels, step, ticks):
+    """A relay switches a room, a scenario drives an integrator in event mode, and a clock another one."""
     fmus = {"relay": stopping("relay"), "room": stopping("room"), "sum": stopping("sum")}
     low, high = levels
-    system = assemble(
-        fmus, ["room.T -> relay.y", "relay.on -> room.on"], {"relay.low": low, "relay.high": high}
-    )
+    wires, given = ["room.T -> relay.y", "relay.on -> room.on"], {"relay.low": low, "relay.high": high}
+    if master is not MASTERS["own"]:
+        fmus |= {"unit": ticking, "total": stopping("sum")}
+        wires += ["unit.y -> total.u"]
+        given |= {"unit.u": 1.0, "unit.period": ticks[0] / 21, "unit.delay": ticks[1] / 21}
+    system = assemble(fmus, wires, given)
     length = {} if getattr(master, "adaptive", None) else {"step": step}
     scenario = two_rows("sum.u", jumps)
     result = run(system, scenario, record_step=step, master=master, isolate=False, **length)
@@ -241,6 +254,9 @@ def test_jumps_and_events_act_at_their_times(stopping, master, jumps, levels, st
     np.testing.assert_allclose(result["sum.s"], integral(t, jumps), atol=1e-9)  # rounding of sums
     if master is MASTERS["own"]:  # without event mode
         return
+    times = np.arange(ticks[1], 21 * (STOP + 1), ticks[0]) / 21  # y = 1, 2, 3 ... from a tick on
+    total = np.maximum(np.subtract.outer(t, times), 0.0).sum(1)
+    np.testing.assert_allclose(result["total.s"], total, atol=1e-9)  # a tick is at most 1e-11 s late
     begins, starts = [0.0, -np.log(1 - high)], [0.0, high]
     while begins[-1] < STOP:
         rises = len(begins) % 2 == 0

@@ -1,6 +1,7 @@
 """Arrays of FMI 3.0: elements are signals; FMUs take them whole. By closed forms, with the FMU of bank.c."""
 
 import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
@@ -236,6 +237,48 @@ def test_arrays_of_a_file(bank, tmp_path):
     np.testing.assert_array_equal(result["v[2]"], result["b.y[2]"])
     alone = load(file(bank, tmp_path, [wire("one", "a.u", extra='endIndices="2"')], "", ends))
     assert [str(port) for port, _ in alone.inputs["one"].targets] == ["a.u[2]"]
+
+
+def same(system):
+    """What a file of a system keeps."""
+    ends = [(c.source, c.target, c.map) for c in system.connections]
+    inputs, outputs = ({n: (e.unit, e) for n, e in of.items()} for of in (system.inputs, system.outputs))
+    starts = {(n, v): x for n, c in system.components.items() for v, x in c.start.items()}
+    return {(str(a), str(b), m) for a, b, m in ends}, str(inputs), str(outputs), starts
+
+
+@pytest.mark.parametrize(
+    ("wires", "connectors", "count"),
+    [
+        (["a.y -> b.u"], 5, 1),  # a: y and echo; b: y, echo and u
+        (["a.y[1] -> b.u[2]", "a.y[2] -> b.u[1]"], 5, 2),  # exchanged
+        (["a.y[2] -> b.u[2]"], 5, 1),
+    ],
+)
+def test_an_array_is_one_connector_of_a_file(bank, tmp_path, wires, connectors, count):
+    """With its Dimensions; whole wires are one connection, elements have indices; read back the same."""
+    given = {"b.n": 2, "a.m": "1 2 3 4 5 6", "a.code": "1 2 3", "a.k[2]": 4.5}
+    pair = assemble({"a": bank, "b": bank}, wires, given)
+    file = write_ssp(pair, tmp_path / "pair.ssp")
+    text = zipfile.ZipFile(file).read("SystemStructure.ssd").decode()
+    assert (text.count("<ssd:Connector "), text.count("<ssd:Connection ")) == (connectors, count)
+    assert 'value="1.0 2.0 3.0 4.0 5.0 6.0"/>' in text
+    assert text.count('<ssc:Dimension size="2"/>') == 3  # y of both, u of b
+    assert same(load(file)) == same(pair)
+    scalars = write_ssp(pair, tmp_path / "scalars.ssp", version="1.0")  # SSP 1.0 has no arrays
+    assert same(load(scalars)) == same(pair)
+
+
+def test_arrays_of_a_system_are_written_as_such(bank, tmp_path):
+    """Its inputs w and outputs v, and the scalar that feeds one element."""
+    ends = sized("w", "input", "3") + sized("v", "output") + connector("one", "input", "m")
+    wires = [wire("w", "a.u"), wire("one", "b.u", extra='endIndices="2"'), wire("b.y", "v")]
+    before = load(file(bank, tmp_path, wires, "", ends))
+    again = write_ssp(before, tmp_path / "again.ssp", version="2.0")
+    text = zipfile.ZipFile(again).read("SystemStructure.ssd").decode()
+    assert 'endConnector="u" endIndices="2"' in text
+    assert text.count("<ssd:Connection ") == 3
+    assert same(load(again))[:3] == same(before)[:3]  # a file has the start values of its inputs, too
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ The FMU of ticks.c refuses an access to a variable whose clock does not tick.
 """
 
 import csv
+import platform
 from fractions import Fraction
 
 import numpy as np
@@ -13,6 +14,7 @@ from kit.mistakes import problem
 from zoo.faulty import faulty
 
 from orchestrator import Coupling, Master, RunFailed, assemble, load, run, write_ssp
+from orchestrator.engine.clocks import Timed
 from orchestrator.engine.network import Texts
 from orchestrator.engine.result import Card, Event, write_events
 from orchestrator.ssp.system import Port
@@ -95,6 +97,10 @@ def test_intervals_that_change(unit):
     """0.2 s after an odd tick, 0.1 s after an even one; a countdown ends when the FMU tells no more."""
     changing = run(str(unit('intervalVariability="changing" intervalDecimal="0.3"')), step=0.04, stop=1.0)
     np.testing.assert_allclose(ticks(changing, "unit.tick"), [0.2, 0.3, 0.5, 0.6, 0.8, 0.9], atol=ROUNDING)
+    first = run(
+        str(unit('intervalVariability="changing"', "first")), step=0.04, stop=1.0
+    )  # after an interval
+    np.testing.assert_allclose(ticks(first, "unit.tick"), [0.1, 0.3, 0.4, 0.6, 0.7, 0.9, 1.0], atol=ROUNDING)
     down = unit('intervalVariability="countdown"', "down")
     counted = run(str(down), step=0.04, stop=1.0, set={"unit.most": 4})
     np.testing.assert_allclose(ticks(counted, "unit.tick"), [0.1, 0.3, 0.4, 0.6], atol=ROUNDING)
@@ -104,6 +110,44 @@ def test_intervals_that_change(unit):
         str(unit('intervalVariability="fixed"', "asked")), step=0.05, stop=0.5, set={"unit.period": 0.25}
     )
     np.testing.assert_allclose(ticks(asked, "unit.tick"), [0.25, 0.5], atol=ROUNDING)
+
+
+def test_a_million_ticks_do_not_drift():
+    """Tick k is exactly at shift + k interval, in the last hundred thousand, its time the nearest float."""
+    shift, interval = Fraction(1, 7), Fraction(1, 3000)
+    clock = Timed(Port("unit", "tick"), None, None, interval)
+    clock.schedule(shift + 900_000 * interval)
+    for _ in range(100_000):
+        clock.schedule(clock.next + clock.interval)
+    assert clock.next == shift + 1_000_000 * interval
+    assert clock.time == float(clock.next)
+
+
+FRACTIONS = 'intervalVariability="{}" supportsFraction="true"'
+
+
+def test_a_first_tick_that_the_fmu_tells(unit):
+    """Interval and shift of the FMU where the description has none; a shift below 0 is refused."""
+    given = {"unit.period": 0.2, "unit.delay": 0.15}
+    found = ticks(run(str(unit('intervalVariability="fixed"')), step=0.05, stop=1.0, set=given), "unit.tick")
+    np.testing.assert_allclose(found, [0.15, 0.35, 0.55, 0.75, 0.95], atol=ROUNDING)
+    declared = unit('intervalVariability="tunable" shiftDecimal="0.5"', "declared")
+    found = ticks(run(str(declared), step=0.05, stop=1.0, set=given), "unit.tick")
+    np.testing.assert_allclose(found, [0.5, 0.9], atol=ROUNDING)  # after a tick 0.2 (1 + 1)
+    told = problem(
+        lambda: run(str(unit('intervalVariability="fixed"')), stop=1.0, step=0.1, set={"unit.delay": -1})
+    )
+    assert told == "unit.tick: expected a shift of 0 s or more, got -1 s"
+
+
+def test_clocks_of_a_third_and_a_seventh_meet_at_whole_seconds(unit):
+    """Their intervals are no decimal numbers: both in one instant at 1 s, 2 s and 3 s, and nowhere else."""
+    files = {"a": unit(FRACTIONS.format("fixed")), "b": unit(FRACTIONS.format("fixed"), "b")}
+    system = assemble(files, [], {"a.period": 1 / 3, "b.period": 1 / 7, "b.delay": 1 / 7})
+    result = run(system, step=0.1, stop=3.0)
+    np.testing.assert_allclose(ticks(result, "a.tick"), np.arange(1, 10) / 3, atol=ROUNDING)
+    np.testing.assert_allclose(ticks(result, "b.tick"), np.arange(1, 22) / 7, atol=ROUNDING)
+    assert [e.time for e in result.events if {"a.tick", "b.tick"} <= {*e.causes}] == [1.0, 2.0, 3.0]
 
 
 COUNT = 'name="count" valueReference="10" causality="output" clocks="1"'
@@ -178,6 +222,27 @@ def test_texts_go_with_their_clocks(unit, tmp_path):
     assert lines[3].endswith(",a.text,n3")  # after those of c, which fires at the start
 
 
+BUS = [
+    f"{a}.{out} -> {b}.{to}" for a, b in ("pq", "qp") for out, to in (("fired", "come"), ("frame", "data"))
+]
+
+
+@pytest.mark.parametrize("master", MASTERS, ids=lambda c: c.method.name)
+def test_two_nodes_of_a_bus_send_each_other_frames(unit, master):
+    """Both ways, at 1/10 s and 3/20 s, together at each 3/10 s: each frame arrives at its time."""
+    sends = {'valueReference="2" dependencies="1 3"': 'valueReference="2" dependencies="1"'}
+    nodes = {"p": unit(**sends), "q": unit(DECIMAL.format("0.15"), "q", **sends)}
+    result = run(assemble(nodes, BUS), step=0.05, stop=1.2, master=master)
+    frames = [(round(1200 * t), name, text) for t, name, text in result.texts if name.endswith("frame")]
+    exact = [(120 * k, "p.frame", f"00{k + 1:02x}") for k in range(13)]
+    exact += [(180 * k, "q.frame", f"00{k + 1:02x}") for k in range(9)]
+    assert sorted(frames) == sorted(exact)
+    points = np.arange(25)  # of 0.05 s
+    for receiver, every in (("q", 2), ("p", 3)):
+        assert result[f"{receiver}.got"].tolist() == (1 + points // every).tolist()
+        assert result[f"{receiver}.heard"].tolist() == result[f"{receiver}.got"].tolist()  # the last byte
+
+
 def test_variables_of_an_output_clock_are_read(unit):
     """Also if it feeds no other clock: every second count, held in between."""
     of_fired = {'"10" causality="output" clocks="1"': '"10" causality="output" clocks="2"'}
@@ -233,6 +298,16 @@ def test_ticks_are_kept_when_the_process_dies(unit, tmp_path):
     with pytest.raises(RunFailed) as failed:
         run(system, stop=1.0, step=0.05)
     np.testing.assert_allclose(ticks(failed.value.result, "unit.tick"), np.arange(1, 6) / 10, atol=ROUNDING)
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the FMU switches on traps of SSE")
+def test_traps_that_an_fmu_switches_on_in_an_instant_end_nothing(unit):
+    """In each call of a clock and of event mode: the run goes on as without, with a warning."""
+    pair = assemble({"a": unit(), "b": unit(name="b")}, ["a.fired -> b.come", "a.y -> b.u"], {"a.u": 0.1})
+    calm, trapping = (run(pair, set={"a.traps": traps}, step=0.03, stop=1.0) for traps in (0, 1))
+    assert all(np.array_equal(calm[name], trapping[name]) for name in calm)
+    (warning,) = trapping.card.warnings
+    assert warning.startswith("a at t = 0 s: the FMU changed the floating-point environment")
 
 
 @pytest.mark.parametrize(

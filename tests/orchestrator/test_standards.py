@@ -5,6 +5,7 @@ python tests/orchestrator/test_standards.py    prints the table
 
 import re
 import sys
+import zipfile
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[1])]  # as a script
@@ -13,7 +14,7 @@ from kit.any_fmu.description import packed  # noqa: E402  # after the path of a 
 from kit.any_fmu.models import Workshop, bank_fmu, ticking_fmu  # noqa: E402  # after the path of a script
 from kit.ssp import bound, connector, inline, real, second, ssd, system, wire  # noqa: E402  # as above
 
-from orchestrator import Problem, load, run  # noqa: E402  # as above
+from orchestrator import Problem, assemble, load, run, write_ssp  # noqa: E402  # as above
 
 PAGE = Path(__file__).parents[2] / "orchestrator/README.md"
 AT = 'valueReference="400"'
@@ -132,6 +133,10 @@ def table(folder):
         )
         clocks = outcome(ticking_fmu(folder / "unit.fmu", attributes))
         rows.append(f"|FMI 3.0|{interval} and triggered Clock, with event mode|{clocks}|")
+    clocks = outcome(ticking_fmu(folder / "unit.fmu", 'intervalVariability="fixed"'))
+    rows.append(f"|FMI 3.0|fixed Clock whose interval and shift the FMU tells|{clocks}|")
+    scheduled = outcome(workshop.make("types", "scheduled", kind="ScheduledExecution"))
+    rows.append(f"|FMI 3.0|Scheduled Execution only, as Clocks of the Reference-FMUs|{scheduled}|")
     for n, (element, more) in enumerate(FMI):
         rows.append(f"|FMI 3.0|{element}|{outcome(workshop.make('types', f'p{n}', more=more))}|")
     for n, (element, text) in enumerate(SSP):
@@ -141,6 +146,12 @@ def table(folder):
         parts = {"SystemStructure.ssd": edition, "g.fmu": workshop["gain"].read_bytes()}
         parts["bank.fmu"] = arrays.read_bytes()
         rows.append(f"|SSP 2.0|{element}|{outcome(packed(folder / f'{n}' / 'system.ssp', parts))}|")
+    sizes = '<ssc:Dimension size="2"/>'
+    wired = assemble({"a": arrays, "b": arrays}, ["a.y -> b.u"], {"b.n": 2, "b.k": "1 2", "b.m": "1 0 0 1"})
+    file = write_ssp(wired, folder / "written.ssp")
+    text = zipfile.ZipFile(file).read("SystemStructure.ssd").decode()
+    written = f"{outcome(file)}, with Dimension" if text.count(sizes) == 3 else outcome(file)
+    rows.append(f"|SSP 2.0|a file that is written, with arrays|{written}|")
     return "\n".join(rows)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from orchestrator.check.tasks.runner import InstanceOptions, Trial
 from orchestrator.fmi.calls import address
 from orchestrator.fmi.description import FLOATS, MAX_LOCALS, Entry, FmuVariable, ModelDescription
-from orchestrator.fmi.instance import CallFailed, FmuInstance, Unsettled, settle
+from orchestrator.fmi.instance import CallFailed, FmuInstance, settle
 from orchestrator.fmi.library import Library
 from orchestrator.fmi.messages import DISCARD, ERROR
 
@@ -199,12 +199,8 @@ class Integrator:
 
     def _iterate(self) -> None:
         """Update discrete states until none changes, and enter continuous-time mode."""
-        try:
-            ended, times = settle(
-                "the event iteration does not end", {"the FMU": self.instance.update_discrete_states}
-            )
-        except Unsettled as problem:
-            raise CallFailed(str(problem), ERROR) from None
+        update = {"the FMU": self.instance.update_discrete_states}
+        ended, times = settle("the event iteration does not end", update)
         self.ended, self.next_event = self.ended or bool(ended), times["the FMU"]
         self.instance.call("EnterContinuousTimeMode")
 

@@ -180,6 +180,13 @@ int execute(Simulation *sim, const Program *program) {
     return CONTINUE;
 }
 
+/* For Python. */
+int32_t program_run(Simulation *sim, const Program *program) {
+    const int verdict = execute(sim, program);
+    environment_restore(sim, NULL, ANY_COMPONENT);
+    return verdict;
+}
+
 int directional_derivative(Simulation *sim, const Derivative *d) {
     const size_t m = (size_t)d->unknown_references, n = (size_t)d->known_references;
     int status;

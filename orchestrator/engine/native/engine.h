@@ -356,8 +356,11 @@ typedef struct Events {
     int64_t *integers;
     int32_t real_count, integer_count;
     int32_t used;     /* FMUs are in event mode at instants, through Python */
+    int32_t present;  /* used, or there are such inputs; else no step looks for events */
     int32_t located;  /* all components can go back, so that a step is repeated to its first event */
     int32_t due;      /* there is an instant at the end of the step */
+    int32_t changed;  /* signals that are not continuous, since the last exchange in an instant */
+    int32_t ends;     /* an FMU has requested the end of the run in an instant */
     int32_t tries;    /* of the present step */
     double next;      /* the next time event that an FMU has announced [s] */
     double tolerance; /* of the time of an event [s] */
@@ -444,6 +447,7 @@ static inline Real source_slope(const CouplingInput *s) {
 
 /* calls.c; machines.cpp for several machines */
 int execute(Simulation *, const Program *);
+EXPORT int32_t program_run(Simulation *, const Program *);
 int python_call(Simulation *, int32_t request, int32_t index, double t, double h);
 int component_step(Simulation *, int k, Real begin, Real length); /* begin: [s] after the start of the step */
 int component_save(Simulation *, int k);
@@ -542,7 +546,8 @@ void event_try(Simulation *);
 int event_reached(Simulation *, Component *, double reached, int early);
 int event_approached(Simulation *, double h, int *goes_back);
 int event_missed(Simulation *, double h);
-int event_due(Simulation *);
+int event_due(const Simulation *);
+EXPORT int32_t event_exchange(Simulation *, double t);
 int event_instant(Simulation *);
 void event_values(Simulation *);
 

@@ -70,16 +70,30 @@ int event_missed(Simulation *sim, double h) {
     return 1;
 }
 
-/* Is there an instant at the end of the step? By an FMU, a time event, or a signal that is not continuous. */
-int event_due(Simulation *sim) {
-    Events *e = &sim->events;
-    int due = e->due || (e->used && sim->t >= e->next - e->tolerance);
+/* Have signals that are not continuous changed since the last instant? */
+static int values_changed(const Simulation *sim) {
+    const Events *e = &sim->events;
+    int changed = 0;
     for (int32_t i = 0; i < e->real_count; i++) {
         const double now = sim->reals[e->real_targets[i]], before = e->reals[i];
-        due |= now != before && (now == now || before == before); /* NaN stays NaN */
+        changed |= now != before && (now == now || before == before); /* NaN stays NaN */
     }
-    for (int32_t i = 0; i < e->integer_count; i++) due |= sim->integers[e->integer_targets[i]] != e->integers[i];
-    return due;
+    for (int32_t i = 0; i < e->integer_count; i++) changed |= sim->integers[e->integer_targets[i]] != e->integers[i];
+    return changed;
+}
+
+/* Is there an instant at the end of the step? By an FMU, a time event, or a signal that is not continuous. */
+int event_due(const Simulation *sim) {
+    const Events *e = &sim->events;
+    return e->due || (e->used && sim->t >= e->next - e->tolerance) || values_changed(sim);
+}
+
+/* For Python: exchanges all values in an instant. */
+int32_t event_exchange(Simulation *sim, double t) {
+    const int verdict = simulation_exchange(sim, t);
+    sim->events.changed = values_changed(sim);
+    environment_restore(sim, NULL, ANY_COMPONENT);
+    return verdict;
 }
 
 /* The values of signals that are not continuous, after an instant. */

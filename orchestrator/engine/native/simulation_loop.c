@@ -200,19 +200,22 @@ static int try_step(Simulation *sim, Real h, Mask *done) {
     if (verdict) return verdict;
 #if WIDTH == 1
     const double end = sim->end;
-    event_try(sim);
+    const int with_events = sim->events.present;
+    if (with_events) event_try(sim);
 #endif
     verdict = communication_step(sim, h, &passes);
 #if WIDTH == 1
-    if (sim->end < end) h = sim->end - sim->t; /* the only FMU has stopped */
+    if (with_events && sim->end < end) h = sim->end - sim->t; /* the only FMU has stopped */
 #endif
     if (!verdict) verdict = store_used_inputs(sim);
     if (!verdict) verdict = exchange_at_end(sim, h);
 #if WIDTH == 1
     if (verdict == DISCARDED) return retry_discarded(sim, h);
     if (verdict == AT_EVENT) return repeat_for_event(sim, h, 1);
-    if (!verdict && event_missed(sim, h)) return repeat_for_event(sim, h, 0);
-    if (!verdict) sim->events.low = sim->events.high = 0.0, sim->events.tries = 0;
+    if (!verdict && with_events) {
+        if (event_missed(sim, h)) return repeat_for_event(sim, h, 0);
+        sim->events.low = sim->events.high = 0.0, sim->events.tries = 0;
+    }
 #endif
     if (verdict) return verdict;
     sim->all_passes += passes;
@@ -304,7 +307,8 @@ static int next_step(Simulation *sim) {
     const Mask jumps = sim->scenario && !sim->scenario->commands ? scenario_jumps(sim->scenario, sim->t, done) : NO_MACHINE;
     verdict = any(jumps) ? jump(sim, jumps) : CONTINUE;
 #if WIDTH == 1
-    if (!verdict && event_due(sim)) verdict = go_through_events(sim);
+    if (!verdict && sim->events.present && event_due(sim)) verdict = go_through_events(sim);
+    if (sim->events.ends) record(sim); /* all FMUs are at the event in which the run ends */
 #endif
     if (verdict) return verdict;
     if (there || sim->free || sim->diverged) record(sim);
@@ -325,6 +329,7 @@ int32_t simulation_begin(Simulation *sim) {
     if (sim->scenario) sim->scenario->since = sim->t;
     begin_energy(sim, EVERY_MACHINE);
 #if WIDTH == 1
+    sim->events.present = sim->events.used || sim->events.real_count || sim->events.integer_count;
     event_values(sim);
 #endif
     record(sim);

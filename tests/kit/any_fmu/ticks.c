@@ -2,8 +2,10 @@
  *
  *   tick    input clock: count := count + 1, y = s + u, s := s + u; in a countdown or with changing intervals the next
  *           one is `period` (1 + count mod 2) later, at most `most` ticks
+ *           an interval and a shift that are asked for are `period` and `delay`, as fractions in 21ths of a second
  *   fired   output clock, at every `every`-th tick, and whenever `come` ticks if `passes`: text = "n<count>", frame = n
  *   come    triggered input clock: got := got + 1, heard = length of the text `word` and last byte of the binary `data`
+ *   traps   1: calls of event mode and of clocks switch on the traps of floating-point exceptions
  *   note    text without a clock: noted = its length
  *
  * A variable that is set or read while its clock does not tick, and a clock that ticks or is asked for its interval in step
@@ -16,14 +18,22 @@
 
 #include "fmi3Functions.h"
 
-enum { TICK = 1, FIRED, COME, COUNT = 10, GOT, HEARD, EVERY, PASSES, MOST, NOTED, U = 20, Y, PERIOD, TEXT = 30, WORD, NOTE, FRAME = 40, DATA };
+enum { TICK = 1, FIRED, COME, COUNT = 10, GOT, HEARD, EVERY, PASSES, MOST, NOTED, TRAPS, U = 20, Y, PERIOD, DELAY, TEXT = 30, WORD, NOTE, FRAME = 40, DATA };
 typedef struct {
-    int mode, ticks, comes, count, got, heard, every, passes, most, told; /* mode: 0 before steps, 1 step, 2 event */
-    double u, s, period;
+    int mode, ticks, comes, count, got, heard, every, passes, most, told, traps; /* mode: 0 before steps, 1 step, 2 event */
+    double u, s, period, delay;
     char text[20], word[200], note[200];
     fmi3Byte frame[2], data[200];
     size_t length;
 } Unit;
+
+static void trap(const Unit *m) {
+#ifdef __x86_64__
+    if (m->traps) __builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() & ~0x1F80u);
+#else
+    (void)m;
+#endif
+}
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String n, fmi3String g, fmi3String l, fmi3Boolean v, fmi3Boolean d, fmi3Boolean used,
                                          fmi3Boolean early, const fmi3ValueReference r[], size_t k, fmi3InstanceEnvironment e,
@@ -42,7 +52,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float6
     return (void)a, (void)b, (void)d, (void)e, (void)t, (void)c, fmi3OK;
 }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return ((Unit *)c)->mode = 2, fmi3OK; }
-fmi3Status fmi3EnterEventMode(fmi3Instance c) { return ((Unit *)c)->mode = 2, fmi3OK; }
+fmi3Status fmi3EnterEventMode(fmi3Instance c) { return trap(c), ((Unit *)c)->mode = 2, fmi3OK; }
 fmi3Status fmi3EnterStepMode(fmi3Instance c) { return ((Unit *)c)->mode = 1, fmi3OK; }
 fmi3Status fmi3Terminate(fmi3Instance c) { return (void)c, fmi3OK; }
 fmi3Status fmi3Reset(fmi3Instance c) { return (void)c, fmi3OK; }
@@ -51,13 +61,14 @@ static int fired(const Unit *m) { return (m->ticks && m->count % m->every == 0) 
 
 fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Clock on[]) {
     Unit *m = c;
+    trap(m);
     if (m->mode != 2 || n != 1 || !on[0]) return fmi3Error;
     if (r[0] == TICK && !m->ticks++) m->count++, m->told = 0;
     if (r[0] == COME && !m->comes++) m->got++;
     return m->ticks > 1 || m->comes > 1 ? fmi3Error : fmi3OK;
 }
 fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Clock on[]) {
-    return (void)r, (void)n, on[0] = fired(c), ((Unit *)c)->mode == 2 ? fmi3OK : fmi3Error;
+    return trap(c), (void)r, (void)n, on[0] = fired(c), ((Unit *)c)->mode == 2 ? fmi3OK : fmi3Error;
 }
 fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 t[], fmi3IntervalQualifier q[]) {
     Unit *m = c;
@@ -67,11 +78,27 @@ fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference r[], 
     q[0] = m->told || m->count >= m->most ? fmi3IntervalUnchanged : fmi3IntervalChanged;
     return m->told = 1, fmi3OK;
 }
+fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3UInt64 counts[],
+                                   fmi3UInt64 resolutions[], fmi3IntervalQualifier q[]) {
+    fmi3Float64 t[1];
+    resolutions[0] = 21;
+    const fmi3Status status = fmi3GetIntervalDecimal(c, r, n, t, q);
+    return counts[0] = (fmi3UInt64)(t[0] * 21 + 0.5), status;
+}
+/* Before steps only */
+fmi3Status fmi3GetShiftDecimal(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 t[]) {
+    const Unit *m = c;
+    return (void)r, (void)n, t[0] = m->delay, m->mode ? fmi3Error : fmi3OK;
+}
+fmi3Status fmi3GetShiftFraction(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3UInt64 counts[], fmi3UInt64 resolutions[]) {
+    const Unit *m = c;
+    return (void)r, (void)n, counts[0] = (fmi3UInt64)(m->delay * 21 + 0.5), resolutions[0] = 21, m->mode ? fmi3Error : fmi3OK;
+}
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *a, fmi3Boolean *b, fmi3Boolean *d, fmi3Boolean *e, fmi3Boolean *f,
                                     fmi3Float64 *t) {
     Unit *m = c;
     if (m->ticks) m->s += m->u;
-    m->ticks = m->comes = 0;
+    m->ticks = m->comes = 0, trap(m);
     return (void)t, *a = *b = *d = *e = *f = 0, fmi3OK;
 }
 fmi3Status fmi3GetInt32(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Int32 y[], size_t k) {
@@ -87,7 +114,7 @@ fmi3Status fmi3GetInt32(fmi3Instance c, const fmi3ValueReference r[], size_t n, 
 fmi3Status fmi3SetInt32(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Int32 y[], size_t k) {
     Unit *m = c;
     (void)k;
-    for (size_t i = 0; i < n; i++) *(r[i] == EVERY ? &m->every : r[i] == PASSES ? &m->passes : &m->most) = y[i];
+    for (size_t i = 0; i < n; i++) *(r[i] == EVERY ? &m->every : r[i] == PASSES ? &m->passes : r[i] == TRAPS ? &m->traps : &m->most) = y[i];
     return fmi3OK;
 }
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 y[], size_t k) {
@@ -97,7 +124,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
         if (r[i] == U || r[i] == Y) {
             if (!m->ticks) return fmi3Error;
             y[i] = r[i] == U ? m->u : m->s + m->u;
-        } else y[i] = m->period;
+        } else y[i] = r[i] == DELAY ? m->delay : m->period;
     return fmi3OK;
 }
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Float64 y[], size_t k) {
@@ -105,7 +132,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
     (void)k;
     for (size_t i = 0; i < n; i++) {
         if (r[i] == U && m->mode && !m->ticks) return fmi3Error;
-        *(r[i] == U ? &m->u : &m->period) = y[i];
+        *(r[i] == U ? &m->u : r[i] == DELAY ? &m->delay : &m->period) = y[i];
     }
     return fmi3OK;
 }
