@@ -558,6 +558,9 @@ def read(path: Path, data: bytes | None = None) -> CraneDescription:
     for key in ("source", "note"):
         content.pop(key, None)
     tables = {n: content.get(n, {}) for n in TABLES}
+    for n in (n for n, given in tables.items() if {"axis", "drive", "joint"} & given.keys()):
+        reader.wrong(n, "expected another name of the joint: the file has a table of this name")
+        tables[n], starts = {}, {key: x for key, x in starts.items() if key != n}
     tables["supply"] = reader.tables("supply.", tables["supply"], OF_SUPPLY)
     numbers = {n: reader.numbers(n, x, TABLES[n], *WORDS.get(n, ())) for n, x in tables.items()}
     for n in (n for n in OF_SUPPLY if n in tables["supply"]):

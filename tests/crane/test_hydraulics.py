@@ -9,9 +9,10 @@ from kit.equations import Part
 from kit.mistakes import problem
 
 from fmus.contract import quantities
+from fmus.crane.axes import at_start
 from fmus.crane.check import check
 from fmus.crane.description import NEW, read
-from fmus.crane.machine import crane_machine, with_pressures
+from fmus.crane.machine import crane_machine, drives, with_pressures
 from fmus.parameters import values
 from fmus.supply import supply
 
@@ -115,11 +116,15 @@ def test_pump_engine_and_sections_have_keys(tmp_path):
     assert found["main_pump_displacement"] == pytest.approx(120 / 6e4 / speed, rel=1e-9)
 
 
+def compensated(crane):
+    """Its compensated drives."""
+    return Part(drives(crane, "drives", crane.driven, at_start(crane), "compensated"))
+
+
 @pytest.mark.parametrize(("held", "sides"), [("none", ()), ("head", ("head",)), ("both", ("head", "rod"))])
 def test_a_cylinder_may_be_without_counterbalance_valves(tmp_path, held, sides):
     """A side that has one has its opening as a state; a closed spool blocks the others, but its leakage."""
-    own = crane_machine(read(changed(tmp_path, (VALVE, f'{VALVE}, counterbalance = "{held}"'))))
-    of = Part(own.families["drives"]["compensated"])
+    of = compensated(read(changed(tmp_path, (VALVE, f'{VALVE}, counterbalance = "{held}"'))))
     names = ("boom_{}_counterbalance_opening", "boom_{}_valve_pressure", "boom_{}_pilot_ratio")
     for side in ("head", "rod"):
         assert [n.format(side) in {*of.states, *of.p} for n in names] == [side in sides] * 3
@@ -141,7 +146,7 @@ def test_relief_valves_of_its_own_limit_a_drive(tmp_path):
     assert (slew.push, slew.pull) == pytest.approx((1.14e-3 * 120e5,) * 2)
     head, rod = np.pi / 4 * 0.12**2, np.pi / 4 * (0.12**2 - 0.07**2)
     assert (lift.push, lift.pull) == pytest.approx((180e5 * head, 90e5 * rod))
-    of = Part(crane_machine(crane).families["drives"]["compensated"])
+    of = compensated(crane)
     _, y = of(of.start(slew_pressure_a=145e5, slew_pressure_b=10e5))
     # g (dp - p) less half of the rounding, times dp
     gain = of.p["slew_reliefs_gain"]
