@@ -107,28 +107,41 @@ class MotorLeaks(Leaks):
     pressure_b: Scalar = _opening("line B")
 
 
-class ChamberReliefs(PressureValve, Addition):
-    """A relief valve at each chamber of a cylinder, to the return line."""
+class OwnReliefs(PressureValve, Addition):
+    """Relief valves of an actuator of its own."""
 
     pressure: Scalar = Quantity(
-        "Pa", "Pressure at which a relief valve of the {} cylinder opens", 1e7, minimum=0.0, value=35e6
-    )
-    rod_pressure: Scalar = Quantity(
-        "Pa", "The same at the rod side of the {} cylinder; 0: as at the head side", 1e7, minimum=0.0, value=0
+        "Pa", "Pressure at which a relief valve of the {} opens", 1e7, minimum=0.0, value=35e6
     )
     gain: Scalar = Quantity(
         "m3/(s.Pa)",
-        "Flow of a relief valve of the {} cylinder per pressure above the opening pressure",
+        "Flow of a relief valve of the {} per pressure above the opening pressure",
         1e-9,
         minimum=0.0,
         value=0.0,
     )
     rounding: Scalar = Quantity(
         "Pa",
-        "Pressure range over which a relief valve of the {} cylinder begins to open",
+        "Pressure range over which a relief valve of the {} begins to open",
         1e5,
         minimum=1.0,
         value=1e5,
+    )
+
+
+class CrossoverReliefs(OwnReliefs):
+    """Two relief valves between the lines of a motor."""
+
+    def added(self, at: Place) -> Circuit:
+        """Both as one branch."""
+        return Circuit({}, {at.name: Branch("pressure_a", "pressure_b", Kind.RELIEF, self.cross_flow)})
+
+
+class ChamberReliefs(OwnReliefs):
+    """A relief valve at each chamber of a cylinder, to the return line."""
+
+    rod_pressure: Scalar = Quantity(
+        "Pa", "The same at the rod side of the {} cylinder; 0: as at the head side", 1e7, minimum=0.0, value=0
     )
 
     def added(self, at: Place) -> Circuit:

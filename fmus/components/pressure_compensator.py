@@ -94,18 +94,18 @@ class Section:
 
     flows          q_0 of ports A and B [m3/s]
     return_areas   of the meter-out edges of ports A and B at full command [m2]
-    neutral_area   that connects each port to the tank in neutral [m2]
+    neutral_areas  that connect ports A and B to the tank in neutral [m2]
     oil            density and viscosity
-    line           in series with the meter-out edges
+    lines          in series with the meter-out edges of ports A and B, None: without one
     """
 
     valve: SectionValve
     compensator: Compensator
     flows: Pair
     return_areas: Pair
-    neutral_area: Scalar
+    neutral_areas: Pair
     oil: Liquid
-    line: Law | None = None
+    lines: tuple[Law | None, Law | None]
 
     def openings(self, command: Scalar) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
         """Openings [1] (meter-in, meter-out) of the edges of port A and of port B."""
@@ -154,14 +154,15 @@ def section_ports(
     """Ports A and B at a command [V] and their pressures [Pa]; lines with load_sensing_pressure, too."""
     v, c, tank, oil = section.valve, section.compensator, lines.tank_pressure, section.oil
     ports = []
-    sides = zip(section.openings(command), section.flows, section.return_areas, pressures, strict=True)
-    for (inward, outward), full, return_area, p in sides:
+    own = (section.flows, section.return_areas, section.neutral_areas, section.lines)
+    sides = zip(section.openings(command), pressures, *own, strict=True)
+    for (inward, outward), p, full, return_area, neutral_area, line in sides:
         full_area = full / ca.sqrt(v.square(1.0, oil) * c.setting)
         drop, both = metering_drop(c, inward, lines.supply_pressure, lines.load_sensing_pressure, p)
         to_port = root((full * inward) ** 2 * drop / c.setting, v.transition_flow(full_area * inward, oil))
-        area = return_area * outward + section.neutral_area * section.neutral(command)
+        area = return_area * outward + neutral_area * section.neutral(command)
         through = (v, area, p - tank, oil)
-        to_tank = flow_in_series(*through, section.line) if section.line else v.flow(*through[1:])
+        to_tank = flow_in_series(*through, line) if line else v.flow(*through[1:])
         entering = to_port + v.leakage * both
         leaving = to_tank + v.leakage * (p - tank)
         edges = EdgeFlows(p, entering, leaving, entering - leaving)

@@ -9,7 +9,8 @@ sides, with the hoses, at the start pose; all other joints are locked:
 
     f = sqrt((A_h^2/C_h + A_r^2/C_r) J^2 / M_ii) / (2 pi)           C = V/beta
 
-A load can be held where no piston needs more than the supply pressure, the other side at 0 bar. `capacity`
+A load can be held where no piston and no motor needs more than the pressure of the supply, or of relief
+valves of its own, the other side at 0 bar. `capacity`
 computes it for a grid of poses over the strokes; passive joints hang at rest.
 """
 
@@ -256,20 +257,37 @@ def _axis(
         sizes = volumes(position, joint["stroke"], head, rod, joint["dead_volume"])
         effort, larger = "force", "a larger bore, a larger lever"
     holds = start[f"{joint.name}_holding_{effort}"]
-    holding = max(holds / head, -holds / rod)
-    if holding > pressure:
-        raise Problem(
-            f"holds the arm at the start with {holding / 1e5:.0f} bar, expected at most the supply's "
-            f"{pressure / 1e5:.0f} bar: {larger}, or another start pose"
-        )
+    of_head, of_rod = _limits(joint, pressure)
+    for holding, limit in ((holds / head, of_head), (-holds / rod, of_rod)):
+        if holding > limit:
+            whose = "the supply's" if limit == pressure else "its relief valve's"
+            raise Problem(
+                f"holds the arm at the start with {holding / 1e5:.0f} bar, expected at most {whose} "
+                f"{limit / 1e5:.0f} bar: {larger}, or another start pose"
+            )
+    push, pull, holding = of_head * head, of_rod * rod, max(holds / head, -holds / rod)
     modulus, inertia = crane.numbers["oil"]["bulk_modulus"].value, pose.inertia(joint)
-    of_head, of_rod = ((x + hose) / modulus for x in sizes)
-    stiffness = (head**2 / of_head + rod**2 / of_rod) * lever**2
+    c_head, c_rod = ((x + hose) / modulus for x in sizes)
+    stiffness = (head**2 / c_head + rod**2 / c_rod) * lever**2
     mode = math.sqrt(stiffness / inertia) / (2 * math.pi)
-    damping = joint["damping"]
-    damping += sum(j["ratio"] ** 2 * j["damping"] for j in crane.joints if j.follows == joint.name)
+    slopes = map(float, map(ca.evalf, map(ca.SX, pose.mechanics.chain(pose.p).slopes(pose.q))))
+    own = [
+        (j, slope)
+        for j, slope in zip(crane.joints, slopes, strict=False)
+        if joint.name in (j.name, j.follows)
+    ]
+    damping = sum(j["damping"] * slope**2 for j, slope in own)
     of_oil = (lever, inertia, damping, stiffness, mode)
-    return AxisCheck(joint, low, high, levers, pressure * head, pressure * rod, holding, *of_oil)
+    return AxisCheck(joint, low, high, levers, push, pull, holding, *of_oil)
+
+
+def _limits(joint: JointDescription, pressure: float) -> tuple[float, float]:
+    """Largest pressures of the head and the rod side [Pa]: of the supply [Pa], or of own relief valves."""
+    if "reliefs" not in joint.additions:
+        return pressure, pressure
+    own = joint["reliefs_pressure"]
+    of_rod = joint["reliefs_rod_pressure"] or own if joint.cylinder else own
+    return min(pressure, own), min(pressure, of_rod)
 
 
 def modes(crane: CraneDescription, found: Sequence[AxisCheck]) -> Array:

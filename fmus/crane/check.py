@@ -8,7 +8,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from fmus.crane import sizes
 from fmus.crane.axes import SUPPLIES, AxisCheck, Capacity, Speeds, axes_of, lifting_moment, modes
 from fmus.crane.controller import controlled
-from fmus.crane.description import DEFAULT, DRIVES, INERTIA, TABLES, CraneDescription
+from fmus.crane.description import (
+    ADDITIONS,
+    DEFAULT,
+    DRIVES,
+    INERTIA,
+    TABLES,
+    CraneDescription,
+    keys_of,
+)
 from fmus.crane.machine import borrowed, components, taken
 from fmus.crane.manipulator import contacts
 from fmus.parameters import Number
@@ -81,7 +89,8 @@ def _doubts(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str
 
 def _assumed(crane: CraneDescription) -> Iterator[str]:
     """Numbers that the description does not have: of joints and tables, and of the paper's machine."""
-    keys = {n: f"{table}.{key}" for table, rules in DRIVES.items() for key, r in rules.items() for n in r}
+    rules = {**DRIVES, **{n: keys_of(n, addition) for n, addition in ADDITIONS.items()}}
+    keys = {n: f"{table}.{key}" for table, of in rules.items() for key, r in of.items() for n in r}
     for j in crane.driven:
         own = [(keys[n], x) for n, x in j.numbers.items() if n in keys and x.note == DEFAULT and x.value]
         own = [(key, x) for key, x in own if key != "hydraulics.drop"]

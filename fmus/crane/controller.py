@@ -38,7 +38,7 @@ PLACE = ("at_x", "at_y", "at_z")
 GEOMETRY = (  # numbers of a joint that place the tip and the pistons
     *PLACE,
     *(f"{pin}_{n}" for pin in ("base", "pin", "pivot", "link") for n in "xz"),
-    *("closed_length", "rocker", "coupler", "ratio"),
+    *("closed_length", "rocker", "coupler", "ratio", "offset", "follows_from", "follows_to"),
 )
 CENTRING = 0.3  # 1
 

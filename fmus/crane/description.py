@@ -17,7 +17,15 @@ from typing import Any, Literal, TypeAlias, cast, get_args
 import numpy as np
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.components.additions import Accumulator, Addition, ChamberReliefs, Cushion, Regeneration
+from fmus.boom_stick import VARIANTS as BOOM_VARIANTS
+from fmus.components.additions import (
+    Accumulator,
+    Addition,
+    ChamberReliefs,
+    CrossoverReliefs,
+    Cushion,
+    Regeneration,
+)
 from fmus.components.chain import Axis
 from fmus.components.chamber import BulkModulus, Liquid
 from fmus.components.cylinder import Cylinder
@@ -136,6 +144,10 @@ FOLLOWED = {
     kind: {
         "ratio": _key("ratio", "1", "Motion of the {} over that of the joint that it follows", 1.0),
         "offset": _key("offset", unit, "Coordinate of the {} where the joint that it follows is at 0"),
+        **{
+            n: _key(f"follows_{n}", unit, f"Coordinate of the joint that the {{}} follows, {text}", 0.0)
+            for n, text in (("from", "from which on it moves"), ("to", "up to which it moves"))
+        },
     }
     for kind, (unit, _) in UNITS.items()
 }
@@ -177,6 +189,7 @@ DRIVES: Mapping[str, Keys] = {
         "leakage": _own("valve_leakage", 1.6e-14, 1e-17, 1e-9),
         "hose": _own("hose_length", 3.0, 0.01, LARGEST_LENGTH),
         "hose_bore": _own("hose_bore", 0.01905, 1e-3, 0.2),
+        "rod_valve": _key("rod_valve_area", "m2", "Meter-in edge to the rod side", 0.0, 0.0, 1e-2),
         "rod_flow": _key("rod_rated_flow", "m3/s", "Flow of the section to the rod side", 0.0, 0.0, 0.1),
         **{
             f"{side}_return": _key(f"{side}_return_area", "m2", "Meter-out edge", 0.0, 0.0, 1e-2)
@@ -214,8 +227,9 @@ USED: Mapping[str, tuple[str, ...]] = {
 UNUSED: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "four-bar": {"cylinder": ("pin",)},
     "telescope": {"cylinder": ("base", "pin", "closed", "barrel_mass", "rod_mass")},
-    "motor": {"hydraulics": ("rod_flow", "head_return", "rod_return", "head_pilot_ratio", "rod_pilot_ratio")},
+    "motor": {"hydraulics": tuple(n for n in DRIVES["hydraulics"] if n.partition("_")[0] in ("head", "rod"))},
 }
+HELD = {"both": ("head", "rod"), "head": ("head",), "rod": ("rod",), "none": ()}
 BASE, TIP = "Slope of the base: the", "Tip, where the payload is, from the joint of its link"
 TABLES: Mapping[str, Keys] = {
     "base": {
@@ -248,6 +262,7 @@ TABLES: Mapping[str, Keys] = {
         "displacement": _key(
             "displacement", "m3/rad", "Displacement of the load-sensing pump", 0.0, 0.0, 1e-2
         ),
+        "flow": _key("flow", "m3/s", "Flow of this pump at the speed of the engine", 0.0, 0.0, 0.1),
         "margin": _key("margin", "Pa", "Pressure of the pump above the load", 0.0, 0.0, 1e8),
         "cut_off": _key("cut_off", "Pa", "Pressure cut-off of the pump", 0.0, 0.0, 1e8),
         "power": _key("power", "W", "Power limit of the pump", 0.0, 0.0, 1e7),
@@ -267,12 +282,13 @@ TABLES: Mapping[str, Keys] = {
         "reach": _key("reach", "m", "Largest reach", 0.0, 0.0),
     },
 }
-# tables of a joint with a cylinder, and of the supply: components in addition; keys are their quantities
+# tables of a joint with a cylinder, with a motor, of the supply: additions, whose keys are their quantities
 ADDITIONS: Mapping[str, type[Addition]] = {
     "cushion": Cushion,
     "reliefs": ChamberReliefs,
     "regeneration": Regeneration,
 }
+OF_MOTOR: Mapping[str, type[Addition]] = {"reliefs": CrossoverReliefs}
 OF_SUPPLY: Mapping[str, type[Addition]] = {"accumulator": Accumulator}
 
 
@@ -283,7 +299,7 @@ def keys_of(table: str, addition: type[Addition]) -> Keys:
 
 # other keys of tables, and of a joint
 WORDS = {"payload": ("on", "along"), "supply": (*OF_SUPPLY,), "datasheet": ("loads",)}
-WORDS |= {"hydraulics": ("part",), "four_bar": ("assembly",)}
+WORDS |= {"hydraulics": ("part", "counterbalance"), "four_bar": ("assembly",)}
 OTHERS = (*FOLLOWED["revolute"], "inertia", "stop", *ADDITIONS, "shape", "source", "note")
 WORD, PART = "[a-z][a-z0-9]*", "[a-z][a-z0-9_]*"
 DEFAULT = "default"  # note of a number that the file does not have
@@ -296,6 +312,8 @@ EXAMPLES |= {"N.m": "120 kN.m", "m3/rad": "160 cm3/rev", "N.s/m": "30 kN.s/m", "
 SHEETS = {"Nm": "N.m", "kNm": "kN.m", "tm": "t.m", "mt": "t.m"}
 SHEETS |= {"cc": "cm3", "ccm": "cm3", "U": "rev", "lbs": "lb"}
 COMPENSATED = 1.2e6  # Pa, that a compensator holds over its section
+SECTION = 2.7e-3  # m3/s, of the paper's boom
+NONE = Number(0.0, "1", "assumed", "")
 OIL_SPEED = 5.0  # m/s, in a hose at the flow of its section: usual in pressure lines
 NARROWEST = 4.8e-3  # m, hose of 3/16 in
 GRAVITY = 9.80665  # m/s2, standard
@@ -313,7 +331,8 @@ class JointDescription:
     part       of the machine that has its hydraulics
     numbers    its parameters, without the name of the joint
     shape      mesh of its link, binary glTF; None: the page draws beams
-    additions  names of the components in addition that its cylinder has
+    additions  names of the components in addition that its drive has
+    held       sides of its cylinder with a counterbalance valve
     """
 
     name: str
@@ -328,6 +347,7 @@ class JointDescription:
     part: str = "drives"
     shape: Path | None = None
     additions: tuple[str, ...] = ()
+    held: tuple[str, ...] = HELD["both"]
 
     @property
     def coordinate(self) -> str:
@@ -372,6 +392,17 @@ class JointDescription:
 
     def __getitem__(self, name: str) -> float:
         return self.numbers[name].value
+
+    @property
+    def sequenced(self) -> bool:
+        """Whether it moves in a part of the way of the joint that it follows."""
+        return any(self.numbers.get(f"follows_{n}", NONE).value for n in ("from", "to"))
+
+    def following(self, x: float) -> float:
+        """Its coordinate at that of the joint that it follows; corners of its way are not rounded."""
+        low, high = (self[f"follows_{n}"] for n in ("from", "to"))
+        x = min(x, high) if high else x
+        return self["ratio"] * (max(x - low, 0.0) if low else x) + self["offset"]
 
     def vector(self, name: str, axes: str = "xyz") -> Array:
         """Some of its numbers, along axes, shape (n,)."""
@@ -527,6 +558,9 @@ def read(path: Path, data: bytes | None = None) -> CraneDescription:
     for key in ("source", "note"):
         content.pop(key, None)
     tables = {n: content.get(n, {}) for n in TABLES}
+    for n in (n for n, given in tables.items() if {"axis", "drive", "joint"} & given.keys()):
+        reader.wrong(n, "expected another name of the joint: the file has a table of this name")
+        tables[n], starts = {}, {key: x for key, x in starts.items() if key != n}
     tables["supply"] = reader.tables("supply.", tables["supply"], OF_SUPPLY)
     numbers = {n: reader.numbers(n, x, TABLES[n], *WORDS.get(n, ())) for n, x in tables.items()}
     for n in (n for n in OF_SUPPLY if n in tables["supply"]):
@@ -534,6 +568,8 @@ def read(path: Path, data: bytes | None = None) -> CraneDescription:
         numbers["supply"] |= reader.numbers(f"supply.{n}", tables["supply"][n], keys)
     if "ground" not in content:
         numbers["ground"] = {}
+    if "displacement" in tables["pump"] and "flow" in tables["pump"]:
+        reader.wrong("pump", f"flow: expected none beside displacement, got {tables['pump']['flow']!r}")
     told = {n: x.value for n, x in numbers.pop("datasheet").items()}
     loads = _loads(reader, tables["datasheet"].get("loads", []))
     names = [n for n, given in content.items() if isinstance(given, dict) and n not in TABLES]
@@ -630,10 +666,11 @@ def _joint(
         reader.wrong(name, f"stiffness: expected none of a joint with a drive, got {given['stiffness']!r}")
     if "stop" in given and (follows or j.cylinder):
         reader.wrong(name, "stop: expected none of a joint that follows another one or has a cylinder")
-    for n in () if j.cylinder else j.additions:
+    known = ADDITIONS if j.cylinder else OF_MOTOR if j.motor else {}
+    for n in (n for n in j.additions if n not in known):
         reader.wrong(name, f"{n}: expected a joint with a cylinder, got drive {drive!r}")
     numbers = reader.numbers(name, given, JOINTS[kind], *words, *OTHERS, *USED[drive])
-    tables = {"stop": STOPS[kind]} | {n: keys_of(n, a) for n, a in ADDITIONS.items()}
+    tables = {"stop": STOPS[kind]} | {n: keys_of(n, a) for n, a in known.items()}
     for table in (n for n in tables if n in given):
         numbers |= reader.numbers(f"{name}.{table}", given[table], tables[table])
     numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
@@ -642,6 +679,8 @@ def _joint(
         keys = {n: in_plane(key, axis) for n, key in DRIVES[table].items() if n not in left_out}
         numbers |= reader.numbers(f"{name}.{table}", given.get(table, {}), keys, *WORDS.get(table, ()))
     numbers |= reader.numbers(name, {n: x for n, x in given.items() if n in FOLLOWED[kind]}, FOLLOWED[kind])
+    if "to" in given and numbers["follows_to"].value <= numbers["follows_from"].value:
+        reader.wrong(name, f"to: expected more than from, got {given['to']!r}")
     if j.four_bar:
         linkage, choices = given.get("four_bar", {}), get_args(Assembly)
         assembly = reader.one_of(f"{name}.four_bar", linkage, "assembly", choices)
@@ -653,7 +692,8 @@ def _joint(
         part = hydraulics.get("part", j.part)
         if not isinstance(part, str) or not re.fullmatch(PART, part):
             reader.wrong(where, f"part: expected a name of small letters, digits and _, got {part!r}")
-        j = replace(j, part=str(part))
+        held = reader.one_of(where, hydraulics, "counterbalance", HELD if j.cylinder else ("both",), "both")
+        j = replace(j, part=str(part), held=HELD[held])
     if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
         rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
         expected = f"thinner than the bore of {bore:g} mm"
@@ -722,14 +762,21 @@ def _rated(
         return {}
     coefficient = numbers_of(BOOM_STICK)["parameters"]["valve_discharge_coefficient"].value
     area = read["rated_flow"].value / (coefficient * math.sqrt(2 * read["rated_drop"].value / density))
-    return {"valve_area": Number(area, "m2", "derived", "of its rated flow at a pressure drop over one edge")}
+    found = {
+        "valve_area": Number(area, "m2", "derived", "of its rated flow at a pressure drop over one edge")
+    }
+    if read.get("rod_rated_flow", NONE).value and not read["rod_valve_area"].value:
+        share = read["rod_rated_flow"].value / read["rated_flow"].value
+        found["rod_valve_area"] = replace(found["valve_area"], value=share * area)
+    return found
 
 
 def _by_size(read: Mapping[str, Number], density: float) -> dict[str, Number]:
     """Numbers that the file does not have, at the size of the drive: those of the paper's boom and swing.
 
     The dead volume follows the swept one, friction of the piston the square of its bore, the volume of a
-    motor its displacement, leakage the area of the valve; the hose has 5 m/s at the flow of the section.
+    motor its displacement, leakage the area of the valve, relief valves the flow of the section; the hose has
+    5 m/s at it.
     """
     of, size = {n: x.value for n, x in read.items()}, numbers_of(BOOM_STICK)["parameters"]
     paper = {n: x.value for n, x in {**numbers_of(SWING)["parameters"], **size}.items()}
@@ -741,6 +788,9 @@ def _by_size(read: Mapping[str, Number], density: float) -> dict[str, Number]:
         bore = of["bore"] / paper["boom_bore"]
         found["dead_volume"] = of["dead_volume"] * bore**2 * of["stroke"] / paper["boom_stroke"]
         found["piston_damping"] = of["piston_damping"] * bore**2
+    if "reliefs_gain" in of:
+        shipped = numbers_of(BOOM_VARIANTS["compensated"])["parameters"]["port_relief_gain"].value
+        found["reliefs_gain"] = shipped * flow / SECTION
     if "motor_volume" in of:
         found["motor_volume"] = of["motor_volume"] * of["motor_displacement"] / paper["motor_displacement"]
     least = {n: DECLARED[n].minimum or 0.0 for n in found if n in DECLARED}

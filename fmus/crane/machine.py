@@ -18,6 +18,7 @@ from typing import Any
 
 from fmus import boom_stick, swing
 from fmus import supply as supplies
+from fmus.components import spool_valve
 from fmus.components.additions import CushionWithoutColumn
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
@@ -29,6 +30,7 @@ from fmus.crane.description import (
     ADDITIONS,
     COMPENSATED,
     NEW,
+    OF_MOTOR,
     OF_SUPPLY,
     CraneDescription,
     JointDescription,
@@ -85,6 +87,7 @@ SETTINGS = (  # that the paper's machine has as multiples of its supply pressure
 )
 # numbers of a joint for its section, 0 if they follow from others
 OF_SECTION = ("rod_rated_flow", "head_return_area", "rod_return_area", "head_pilot_ratio", "rod_pilot_ratio")
+LINE = ("valve_dead_band", "valve_command_rounding")
 HEAVY = 1 / 8  # of the supply pressure: a side that carries more at the start has a low pilot ratio
 
 
@@ -163,8 +166,9 @@ def drives(
         kind, moved = (MOTOR, motor.HeldInputs) if is_motor else (CYLINDER, cylinder.Inputs)
         added = (MOTOR_ADDITIONS if is_motor else CYLINDER_ADDITIONS) if faults else ()
         known = {**ADDITIONS, **({} if variant in OIL_COLUMNS else {"cushion": CushionWithoutColumn})}
+        known |= OF_MOTOR if is_motor else {}
         own = [(n, known[n]) for n in j.additions]
-        axes.append(Axis(j.name, kind, moved, own_valve=True, additions=(*added, *own)))
+        axes.append(Axis(j.name, kind, moved, own_valve=True, additions=(*added, *own), held=j.held))
     of, (text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
     if variant not in OIL_COLUMNS and any("cushion" in j.additions for j in joints):
         validity += "; no cushions"
@@ -243,7 +247,7 @@ def _sized(
     if joint.motor:
         found |= sizes.of_motor(joint)
     if "compensator_setting" not in common:
-        return found
+        return found if joint.motor else found | _edges(joint, common)
     pressure = crane.numbers["supply"]["pressure_setting"].value
     jet = common["valve_discharge_coefficient"].value * math.sqrt(2 / common["density"].value)
     flow = sizes.section_flow(crane, joint, common["compensator_setting"].value)
@@ -272,6 +276,24 @@ def _sized(
         as_of = "boom_head" if held > HEAVY * pressure else "boom_rod"
         found[f"{side}_pilot_ratio"] = common[f"{as_of}_pilot_ratio"]
     return found | own
+
+
+def _edges(joint: JointDescription, common: Mapping[str, Number]) -> dict[str, Number]:
+    """Areas of the edges of a spool valve: that of the widest one, and curves of those that are narrower."""
+    areas = dict.fromkeys(EDGES, joint["valve_area"])
+    for edge, name in (("at", "head_return_area"), ("pb", "rod_valve_area"), ("bt", "rod_return_area")):
+        areas[edge] = joint[name] or areas[edge]
+    widest, found = max(areas.values()), dict[str, Number]()
+    full, dead, rounding = common["valve_full_command"].value, *map(joint.__getitem__, LINE)
+    start = min(rounding, (full - dead) / 4)  # points on a line give this line from the third one on
+    for edge, area in ((e, a) for e, a in areas.items() if a != widest):
+        for k, volts in enumerate((dead, dead + start, dead + 2 * start, full), 1):
+            opening = area / widest * float(spool_valve.opening(volts, dead, full, rounding))
+            found[f"valve_{edge}_command_{k}"] = _derived(volts, "V", "hydraulics.dead_band, rounding")
+            found[f"valve_{edge}_opening_{k}"] = _derived(
+                opening, "1", "area of the edge over the widest one"
+            )
+    return found | {"valve_area": _derived(widest, "m2", "the widest edge")}
 
 
 def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:

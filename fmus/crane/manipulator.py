@@ -53,6 +53,7 @@ from fmus.manipulator.variables import (
     ManipulatorState,
 )
 from fmus.parameters import Number, Tables, numbers
+from fmus.smooth import lowest, ramp
 
 NAME = "manipulator"
 TIP_FORCE = {
@@ -102,6 +103,7 @@ CONTACTS: Mapping[str, Mapping[str, tuple[str, type[Group], type[Group], str, st
         "piston_coulomb": PISTON,
     },
 }
+SOFT = 0.02  # m or rad, over which a stage in a sequence begins and ends its motion
 MASSES = ("barrel_mass", "rod_mass", "rocker_mass", "coupler_mass")
 
 
@@ -134,6 +136,11 @@ def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> Join
         given = vars(getattr(p, j.name))
         return SimpleNamespace(**{**nothing, **{n: given[n] for n in own if n in given}})
 
+    def moved(o: Any, q: Scalar) -> Scalar:
+        """The way of the joint that it follows, from and up to where a stage in a sequence moves with it."""
+        way = lowest(q, o.follows_to, SOFT) if "follows_to" in own else q
+        return ramp(way - o.follows_from + SOFT / 2, SOFT) if "follows_from" in own else way
+
     def link(p: Any) -> Link:
         o = of(p)
         return Link(
@@ -143,7 +150,7 @@ def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> Join
             at=(o.at_x, o.at_y, o.at_z),
             parent=names.index(j.parent) if j.parent else None,
             follows=names.index(j.follows) if j.follows else None,
-            law=(lambda q: o.ratio * q + o.offset) if j.follows else (lambda q: q),
+            law=(lambda q: o.ratio * moved(o, q) + o.offset) if j.follows else (lambda q: q),
         )
 
     def body(p: Any) -> dict[str, Any]:

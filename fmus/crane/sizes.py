@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import quantities
-from fmus.crane.description import CraneDescription, JointDescription
+from fmus.crane.description import SECTION, CraneDescription, JointDescription
 from fmus.parameters import Number, numbers
 from fmus.supply import VARIANTS
 from fmus.swing import SWING
@@ -29,7 +29,6 @@ SHIPPED = {n: x for sub in VARIANTS.values() for n, x in numbers(sub)["parameter
 BOUNDS = {n: q.minimum for sub in VARIANTS.values() for n, q in quantities(sub.parameters).items()}
 DRIVE, MOTOR = numbers(BOOM_STICK)["parameters"], numbers(SWING)["parameters"]
 LEAKAGE = ("internal_leakage_resistance", "external_leakage_resistance")
-SECTION = 2.7e-3  # m3/s, of the paper's boom
 # parameters of the supply by what they follow
 FLOW = (
     *("pump_leakage", "main_pump_leakage", "rail_leakage", "relief_gain", "return_bypass_gain"),
@@ -90,7 +89,8 @@ def of_supply(crane: CraneDescription, setting: float) -> dict[str, Number]:
     of = {n: SHIPPED[n].value for n in (*DISPLACEMENT, *TORQUE, *SPEED)}
     speed = engine["rated_speed"] or of["engine_rated_speed"]
     flows = sorted(section_flow(crane, j, setting) for j in crane.driven)
-    displacement = pump["displacement"] or SPARE * sum(flows[-2:]) / speed or of["main_pump_displacement"]
+    displacement = pump["displacement"] or (pump["flow"] or SPARE * sum(flows[-2:])) / speed
+    displacement = displacement or of["main_pump_displacement"]
     d, e = displacement / of["main_pump_displacement"], speed / of["engine_rated_speed"]
     rated = of["engine_rated_speed"] * of["engine_rated_torque"]
     p = engine["rated_power"] / rated if engine["rated_power"] else d * e * pressure
@@ -108,6 +108,9 @@ def of_supply(crane: CraneDescription, setting: float) -> dict[str, Number]:
     found = dict(_times(SHIPPED, factors))
     given = {"main_pump_displacement": "displacement", "margin": "margin", "pressure_cut_off": "cut_off"}
     found |= {n: crane.numbers["pump"][key] for n, key in given.items() if pump[key]}
+    if pump["flow"]:
+        note = "pump.flow over engine.speed"
+        found["main_pump_displacement"] = Number(displacement, "m3/rad", "derived", note)
     if pump["power"]:
         found["torque_limit"] = Number(
             pump["power"] / speed, "N.m", "derived", "pump.power over engine.speed"

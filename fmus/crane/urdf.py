@@ -100,7 +100,7 @@ def _limits(
         return *stops(j), 0.0, 0.0
     low, high, effort, velocity = _limits(crane, crane.joint(j.follows), axes, speeds)
     ratio = j["ratio"]
-    low, high = sorted(ratio * x + j["offset"] for x in (low, high))
+    low, high = sorted(map(j.following, (low, high)))
     return low, high, effort / abs(ratio) if ratio else 0.0, abs(ratio) * velocity
 
 
@@ -115,6 +115,8 @@ def _joint(j: JointDescription, limits: tuple[float, float, float, float]) -> st
     offset = f' offset="{j["offset"]:.17g}"' if j["offset"] else ""
     of = f'{j.follows}_joint" multiplier="{j["ratio"]:.17g}"{offset}'
     mimic = f'    <mimic joint="{of}/>\n' if j.follows else ""
+    if j.sequenced:
+        mimic = f"    <!-- follows {j.follows} in a part of its way, which a mimic joint cannot -->\n"
     losses = f'    <dynamics damping="{j["damping"]:.17g}" friction="{j["coulomb"]:.17g}"/>\n'
     return (
         f'  <joint name="{j.name}_joint" type="{kind}">\n    <parent link="{j.parent or BASE}"/>\n'

@@ -319,8 +319,9 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
 def _inside(crane: CraneDescription, j: JointDescription) -> float:
     """Length of a stage of a telescope behind its joint [m]: its stroke, as far as there is room."""
     led = crane.joint(j.follows) if j.follows else j
-    ratio = j["ratio"] if j.follows else 1.0
-    stroke = ratio * led["stroke"] if "stroke" in led.numbers else 2 * math.hypot(*j.vector("centre"))
+    stroke = 2 * math.hypot(*j.vector("centre"))
+    if "stroke" in led.numbers:
+        stroke = j.following(led["stroke"]) if j.follows else led["stroke"]
     before = crane.joint(j.parent) if j.parent else None
     room = math.hypot(*j.vector("at"))
     room += _inside(crane, before) if before and not before.revolute else 0.0

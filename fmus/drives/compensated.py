@@ -14,6 +14,9 @@ P_C of the chamber:
 C_V = A l (kappa(P_V) + 1/E_wall), with kappa of `chamber`. Each counterbalance valve is piloted by the hose
 of the other side. Hoses are resistances in series with these valves; flows follow from pressures.
 
+A side may be without a valve (`Axis.held`). Then its hose is a part of the chamber, and the friction of the
+hose in series with the meter-out edge.
+
 The boom's counterbalance valve meters when the boom is lowered: its meter-out edge is wide, so that no more
 pressure is needed than opens the valve. Behind a compensated section this is stable only with a low pilot
 ratio (docs/equations.md). The other meter-out edges are so small that their counterbalance valves are fully
@@ -30,21 +33,22 @@ A closed valve blocks the ports, which have no counterbalance valves. The brake 
 command leaves the dead band and the supply has pressure.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 from fmus.components import chamber, counterbalance_valve, hose, motor, spool_valve
 from fmus.components import pressure_compensator as compensator
 from fmus.components.chamber import AeratedOil, Air
-from fmus.components.circuit import Branch, Circuit, Kind
+from fmus.components.circuit import Branch, Circuit, Kind, Node
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.hose import HoseWall, in_series
 from fmus.components.load_sensing import sensed
 from fmus.components.motor import Brake
 from fmus.components.orifice import AntiCavitation, PressureValve, Reliefs
 from fmus.components.pressure_compensator import Compensator, Section, SectionOutputs, SectionValve
-from fmus.contract import Group, Quantity, Scalar
+from fmus.contract import Group, Quantity, Scalar, make_group, quantities
 from fmus.drives import cylinder as cylinders
 from fmus.drives import motor as motors
 from fmus.drives.cylinder import CHAMBERS, CYLINDER, PORTS
@@ -64,14 +68,13 @@ def _section_flow(side: str = "") -> Quantity:
 def _edges(
     section: Section, ports: tuple[compensator.SectionPort, ...], nodes: Names, supply: Scalar
 ) -> dict[str, Branch]:
-    """The edges of a section, with compensator and check valve in series, and a line behind meter-out."""
+    """The edges of a section, with compensator and check valve in series, and lines behind meter-out."""
     made = spool_valve.branches((ports[0].edges, ports[1].edges), nodes)
     for name, port in zip(("P-A", "P-B"), ports, strict=True):
         taken = supply - port.edges.pressure - port.metering_drop
         made[name] = replace(made[name], series={Kind.COMPENSATOR: taken})
-    if section.line:
-        made |= {name: in_series(made[name], section.line) for name in ("A-T", "B-T")}
-    return made
+    behind = zip(("A-T", "B-T"), section.lines, strict=True)
+    return made | {name: in_series(made[name], line) for name, line in behind if line}
 
 
 # ---- cylinder
@@ -101,17 +104,17 @@ class CylinderDrive(cylinders.VolumeDrive):
     rod_return_area: Scalar = Quantity(
         "m2", "Area of the meter-out edge from the rod side of the {} at full command", 1e-4, minimum=1e-9
     )
+
+
+class PilotRatios(Group):
+    """Of the counterbalance valves."""
+
     head_pilot_ratio: Scalar = Quantity(
         "1", "Pilot ratio R of the counterbalance valve at the head side of the {} cylinder", minimum=0.0
     )
     rod_pilot_ratio: Scalar = Quantity(
         "1", "Pilot ratio R of the counterbalance valve at the rod side of the {} cylinder", minimum=0.0
     )
-
-    @property
-    def pilot_ratios(self) -> tuple[Scalar, Scalar]:
-        """R of the head and the rod side."""
-        return self.head_pilot_ratio, self.rod_pilot_ratio
 
 
 class AtValve(Group):
@@ -135,38 +138,48 @@ class CylinderOutputs(cylinders.Signals, SectionOutputs, AtValve):
     """Signals of section, counterbalance valves and relief valves."""
 
 
-OPENINGS = CYLINDER.names("counterbalance_opening")
-
-
-def cylinder_section(own: Any, p: Any) -> Section:
-    """Parameters of the section of a cylinder."""
+def cylinder_section(own: Any, p: Any, sides: Sequence[str] = CYLINDER.sides) -> Section:
+    """Parameters of the section of a cylinder; sides: those with a counterbalance valve."""
     flows = (own.section_flow, own.rod_section_flow)
     areas = (own.head_return_area, own.rod_return_area)
-    return Section(valve_of(own, p), p.compensator, flows, areas, p.neutral_area, p)
+    friction, (head, rod) = own.hose.friction(p), (side in sides for side in CYLINDER.sides)
+    neutral = (p.neutral_area if head else 0, p.neutral_area if rod else 0)
+    lines = (None if head else friction, None if rod else friction)
+    return Section(valve_of(own, p), p.compensator, flows, areas, neutral, p, lines)
 
 
-def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
-    section, line = cylinder_section(own, p), own.hose
-    ports = compensator.section_ports(section, u.command, both(x, PORTS), u)
+def _ports(sides: Sequence[str]) -> Names:
+    """Nodes at the valve: hoses before counterbalance valves, else the chambers."""
+    named = zip(CYLINDER.sides, PORTS, CHAMBERS, strict=True)
+    a, b = (port if side in sides else chamber for side, port, chamber in named)
+    return a, b
+
+
+def _cylinder(sides: Sequence[str], x: Any, u: Any, own: Any, p: Any) -> Drive:
+    section, line, at = cylinder_section(own, p, sides), own.hose, _ports(sides)
+    ports = compensator.section_ports(section, u.command, both(x, at), u)
     edges, valve = (ports[0].edges, ports[1].edges), section.valve
     friction = line.friction(p)
     around = Restriction(valve, friction, p)
-    head, rod = (
-        partial(counterbalance_valve.flow, p.counterbalance, getattr(x, opening), around)
-        for opening in OPENINGS
-    )
-    whole = cylinders.ends(x, u, own, p) | Circuit(
+    nodes, branches = dict[str, Node](), dict[str, Branch]()
+    whole = cylinders.ends(x, u, own, p)
+    for side, port, end, of in zip(CYLINDER.sides, PORTS, CHAMBERS, ("1", "2"), strict=True):
+        if side in sides:
+            opening = getattr(x, f"{side}_counterbalance_opening")
+            law = partial(counterbalance_valve.flow, p.counterbalance, opening, around)
+            between = Branch(port, end, Kind.COUNTERBALANCE, law, f"Q_C{of}")
+            branches[f"{side}_flow"] = in_series(between, friction)
+            nodes[port] = line.node(getattr(x, port), p, u.oil_temperature, f"C_V{of}")
+        else:
+            known, volume = whole.nodes[end], hose.area(line.bore) * line.length
+            walls = line.at_temperature(p, u.oil_temperature) - volume / p.bulk_modulus
+            nodes[end] = replace(known, volume=known.volume + volume, capacitance=walls)
+    whole |= Circuit(
+        nodes,
         {
-            n: line.node(getattr(x, n), p, u.oil_temperature, of)
-            for n, of in zip(PORTS, ("C_V1", "C_V2"), strict=True)
-        },
-        {
-            **_edges(section, ports, PORTS, u.supply_pressure),
-            **cylinders.reliefs(p.port_relief, own, p, PORTS),
-            "head_flow": in_series(
-                Branch(PORTS[0], CHAMBERS[0], Kind.COUNTERBALANCE, head, "Q_C1"), friction
-            ),
-            "rod_flow": in_series(Branch(PORTS[1], CHAMBERS[1], Kind.COUNTERBALANCE, rod, "Q_C2"), friction),
+            **_edges(section, ports, at, u.supply_pressure),
+            **cylinders.reliefs(p.port_relief, own, p, at),
+            **branches,
         },
     )
     shown = {
@@ -174,28 +187,41 @@ def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
         **vars(compensator.shown(section, ports, u.command)),
         "head_valve_flow": edges[0].line,
         "rod_valve_flow": edges[1].line,
+        **{f"{n}_flow": e.line for n, e in zip(CYLINDER.sides, edges, strict=True) if n not in sides},
     }
-    rates = _opening_rates(x, u, own, p)
-    return Drive(whole, sensed(valve, u), PORTS, cylinders.force(own), rates, shown)
+    rates = _opening_rates(x, u, own, p, sides)
+    return Drive(whole, sensed(valve, u), at, cylinders.force(own), rates, shown)
 
 
-def _opening_rates(x: Any, u: Any, own: CylinderDrive, p: Any) -> dict[str, Scalar]:
+def _opening_rates(x: Any, u: Any, own: Any, p: Any, sides: Sequence[str]) -> dict[str, Scalar]:
     """Rates of the openings of the counterbalance valves, each piloted by the other side."""
-    c, lines = p.counterbalance, both(x, PORTS)
-    sides = zip(OPENINGS, own.pilot_ratios, both(x, CHAMBERS), reversed(lines), lines, strict=True)
-    return {
-        opening: (
-            counterbalance_valve.balance(c, ratio, pressure, pilot, line, u.tank_pressure)
-            - getattr(x, opening)
-        )
-        / c.lag
-        for opening, ratio, pressure, pilot, line in sides
-    }
+    c, lines, found = p.counterbalance, both(x, _ports(sides)), dict[str, Scalar]()
+    named = zip(CYLINDER.sides, both(x, CHAMBERS), reversed(lines), lines, strict=True)
+    for side, pressure, pilot, line in (row for row in named if row[0] in sides):
+        ratio, opening = getattr(own, f"{side}_pilot_ratio"), f"{side}_counterbalance_opening"
+        target = counterbalance_valve.balance(c, ratio, pressure, pilot, line, u.tank_pressure)
+        found[opening] = (target - getattr(x, opening)) / c.lag
+    return found
 
 
-def _cylinder_start(u: Any, *_: object) -> dict[str, Scalar]:
-    """Hoses drained by the neutral position."""
-    return dict.fromkeys(PORTS, u.tank_pressure) | dict.fromkeys(OPENINGS, 0.0)
+@cache
+def cylinder_model(sides: tuple[str, ...] = CYLINDER.sides) -> Model:
+    """A cylinder; sides: those with a counterbalance valve, whose hoses neutral has drained at the start."""
+
+    def of(group: type[Group], *bases: type[Any]) -> type[Any]:
+        """Without what belongs to the valves of the other sides."""
+        valves = {*quantities(AtValve), *quantities(PilotRatios)}
+        others = {n for n in valves if n.partition("_")[0] not in sides}
+        own = {n: q for n, q in quantities(group).items() if n not in others}
+        return make_group(group.__name__, own, *bases)
+
+    def start(u: Any, *_: object) -> dict[str, Scalar]:
+        drained = dict.fromkeys((f"{n}_valve_pressure" for n in sides), u.tank_pressure)
+        return drained | dict.fromkeys((f"{n}_counterbalance_opening" for n in sides), 0.0)
+
+    drive = partial(_cylinder, sides)
+    groups = (of(PilotRatios, CylinderDrive), of(CylinderState), drive, start, of(CylinderOutputs))
+    return Model(*groups, common=(CylinderCommon,))
 
 
 # ---- motor
@@ -231,7 +257,8 @@ class MotorOutputs(motors.Signals, SectionOutputs, BrakeState):
 def motor_section(own: Any, p: Any) -> Section:
     """Parameters of the section of a motor."""
     flows, areas = (own.section_flow, own.section_flow), (own.return_area, own.return_area)
-    return Section(valve_of(own, p), p.compensator, flows, areas, 0.0, p, own.line.friction(p))
+    lines = (own.line.friction(p),) * 2
+    return Section(valve_of(own, p), p.compensator, flows, areas, (0.0, 0.0), p, lines)
 
 
 def _release(u: Any, own: Any, p: Any) -> Scalar:
@@ -283,26 +310,16 @@ def _motor_start(u: Any, own: Any, p: Any, _: object) -> dict[str, Scalar]:
     return {"brake_torque": 0.0, "brake_applied": 1 - _release(u, own, p)}
 
 
-MODELS = {
-    CYLINDER: Model(
-        parameters=CylinderDrive,
-        states=CylinderState,
-        outputs=CylinderOutputs,
-        drive=_cylinder,
-        start=_cylinder_start,
-        common=(CylinderCommon,),
-    ),
-    MOTOR: Model(
-        parameters=MotorDrive,
-        states=MotorState,
-        outputs=MotorOutputs,
-        drive=_motor,
-        start=_motor_start,
-        common=(Reliefs,),
-    ),
-}
+OF_MOTOR = Model(
+    parameters=MotorDrive,
+    states=MotorState,
+    outputs=MotorOutputs,
+    drive=_motor,
+    start=_motor_start,
+    common=(Reliefs,),
+)
 COMPENSATED = Fidelity(
-    lambda axis: MODELS[axis.actuator],
+    lambda axis: OF_MOTOR if axis.actuator == MOTOR else cylinder_model(axis.held),
     common=(Common,),
     valve=SectionValve,
     require=lambda valve, p: compensator.requirements(valve, p.compensator),

@@ -99,6 +99,7 @@ class Axis:
     named       names of its parameters from those in their group; default: with the name of the axis
     own_valve   whether the axis has a valve with parameters of its own
     additions   components beside those of its model, with the begin of their names
+    held        sides of a cylinder that have a counterbalance valve in compensated drives
     """
 
     name: str
@@ -107,6 +108,7 @@ class Axis:
     named: Callable[[str], str] | None = None
     own_valve: bool = False
     additions: Additions = ()
+    held: tuple[str, ...] = ("head", "rod")
 
     def of(self, values: Mapping[str, Scalar]) -> dict[str, Scalar]:
         """Values of the axis by their names in the part."""

@@ -222,11 +222,14 @@ def _dependency_table(
     interface: Interface | None,
 ) -> dict[str, list[tuple[Variable, str]]]:
     """Row -> columns that it depends on, each with its dependenciesKind; without `interface`: "dependent"."""
-    jacobian = ca.jacobian(unknown, known)
-    kinds = _dependency_kinds(jacobian, interface) if interface else ["dependent"] * jacobian.nnz()
+    sparsity = ca.jacobian_sparsity(unknown, known)
+    kinds = ["dependent"] * sparsity.nnz()
+    if interface:
+        jacobian = ca.jacobian(unknown, known)
+        sparsity, kinds = jacobian.sparsity(), _dependency_kinds(jacobian, interface)
     discontinuous = [_is_discontinuous(unknown[i], known) for i in range(unknown.numel())]
     table: dict[str, list[tuple[Variable, str]]] = {v.name: [] for v in rows}
-    for row, known_column, kind in zip(*jacobian.sparsity().get_triplet(), kinds, strict=True):
+    for row, known_column, kind in zip(*sparsity.get_triplet(), kinds, strict=True):
         table[rows[row].name].append((columns[known_column], "dependent" if discontinuous[row] else kind))
     return table
 

@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 from kit.cranes import CRANES, changed, machine, told_of
 from kit.equations import Part
+from kit.mistakes import problem
 
 from fmus.contract import quantities
+from fmus.crane.axes import at_start
+from fmus.crane.check import check
 from fmus.crane.description import NEW, read
-from fmus.crane.machine import crane_machine
+from fmus.crane.machine import crane_machine, drives, with_pressures
 from fmus.parameters import values
+from fmus.supply import supply
 
 TURN = 2 * np.pi  # rad
+VALVE = 'valve = "40 mm2", hose = "3 m"'
 ADDED = """[boom]
 cushion = { length = "40 mm", resistance = 2e12 }
 reliefs = { pressure = "280 bar", gain = 1e-9 }
@@ -106,6 +111,49 @@ def test_pump_engine_and_sections_have_keys(tmp_path):
     }
     assert {n: found[n] for n in expected} == pytest.approx(expected, rel=1e-9)
     assert found["boom_section_flow"] > 30 / 6e4
+    by_flow = read(tmp_path / "flow.toml", (text + '[pump]\nflow = "120 L/min"\n' + engine).encode())
+    found = values(with_pressures(supply(["drives"])["load_sensing"], by_flow)).p
+    assert found["main_pump_displacement"] == pytest.approx(120 / 6e4 / speed, rel=1e-9)
+
+
+def compensated(crane):
+    """Its compensated drives."""
+    return Part(drives(crane, "drives", crane.driven, at_start(crane), "compensated"))
+
+
+@pytest.mark.parametrize(("held", "sides"), [("none", ()), ("head", ("head",)), ("both", ("head", "rod"))])
+def test_a_cylinder_may_be_without_counterbalance_valves(tmp_path, held, sides):
+    """A side that has one has its opening as a state; a closed spool blocks the others, but its leakage."""
+    of = compensated(read(changed(tmp_path, (VALVE, f'{VALVE}, counterbalance = "{held}"'))))
+    names = ("boom_{}_counterbalance_opening", "boom_{}_valve_pressure", "boom_{}_pilot_ratio")
+    for side in ("head", "rod"):
+        assert [n.format(side) in {*of.states, *of.p} for n in names] == [side in sides] * 3
+    _, y = of(of.start(boom_head_pressure=9e6, boom_rod_pressure=4e6))
+    for side, other in (("head", 9e6), ("rod", 4e6)):
+        supply, to_tank = of.u["supply_pressure"] - other, other - of.u["tank_pressure"]
+        # both edges leak, the one behind the check valve less by half of its rounding
+        leaks = of.p["boom_valve_leakage"] * (supply - 5e3 - to_tank)
+        assert side in sides or y[f"boom_{side}_flow"] == pytest.approx(leaks, rel=1e-9)
+    # the relief and check valves are closed, so nothing else flows
+    assert y["boom_relief_flow"] == y["boom_anti_cavitation_flow"] == 0
+
+
+def test_relief_valves_of_its_own_limit_a_drive(tmp_path):
+    """Forces, torque, and what holds the arm at the start; the gain follows the flow of the section."""
+    motor = ("[slew]\n", '[slew]\nreliefs = { pressure = "120 bar" }\n')
+    boom = ("[boom]\n", '[boom]\nreliefs = { pressure = "180 bar", rod_pressure = "90 bar" }\n')
+    slew, lift, *_ = check(crane := read(changed(tmp_path, motor, boom)))
+    assert (slew.push, slew.pull) == pytest.approx((1.14e-3 * 120e5,) * 2)
+    head, rod = np.pi / 4 * 0.12**2, np.pi / 4 * (0.12**2 - 0.07**2)
+    assert (lift.push, lift.pull) == pytest.approx((180e5 * head, 90e5 * rod))
+    of = compensated(crane)
+    _, y = of(of.start(slew_pressure_a=145e5, slew_pressure_b=10e5))
+    # g (dp - p) less half of the rounding, times dp
+    gain = of.p["slew_reliefs_gain"]
+    assert gain == pytest.approx(of.p["port_relief_gain"] / 2, rel=1e-9)  # 20 mm2 of the largest, 40
+    assert y["slew_relief_heat"] == pytest.approx(gain * (15e5 - 0.5e5) * 135e5, rel=1e-9)
+    weak = read(changed(tmp_path, (boom[0], boom[1].replace("180", "60"))))
+    assert "with 73 bar, expected at most its relief valve's 60 bar" in problem(lambda: check(weak))
 
 
 def test_components_in_addition_have_keys(tmp_path):

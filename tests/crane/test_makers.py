@@ -179,3 +179,53 @@ def test_stops_that_are_not_alike_need_both_ends():
     ]
     assert "[hook.stop] at: expected a number in rad, got nothing" in lines[0]
     assert "[start] hook: expected between the end stops of the joint, got 0" in lines[1]
+
+
+# extension -> coordinates of the stages and their slopes, between the corners
+SEQUENCE = {
+    0.3: ((0.3, 0.0), (1.0, 0.0)),
+    0.8: ((0.8, 0.3), (1.0, 1.5)),
+    1.7: ((1.1, 1.65), (0.0, 1.5)),
+    2.6: ((1.1, 2.25), (0.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("out", SEQUENCE)
+def test_stages_of_a_telescope_move_one_after_the_other(pin, out):
+    """Each in its part of the way of the outer one: masses, weights, damping; by Pinocchio and by hand."""
+    text = entry(__file__, "telescope") + f"[start]\nboom = 0.2\nlast = {out}\n"
+    crane = read(Path("telescope.toml"), text.encode())
+    chain, *_ = model(crane)
+    tree, data = bodies(pin, chain.links, chain.gravity)
+    s = ca.SX.sym("s", 2)
+    motion = chain.equations(s, 0 * s)
+    own = ca.Function("own", [s], [motion.mass, motion.gravity, ca.vertcat(*chain.joints(s))])
+    mass, gravity, joints = (x.full() for x in own([0.2, out]))
+    (stage, middle), slopes = SEQUENCE[out]
+    assert joints[:, 0] == pytest.approx([0.2, out, stage, middle], abs=1e-12)  # exact off the corners
+    turn = np.array([[1, 0], [0, 1], [0, slopes[0]], [0, slopes[1]]])
+    inertia, weight = mass_and_weight(pin, tree, data, joints[:, 0])
+    np.testing.assert_allclose(mass, turn.T @ inertia @ turn, atol=1e-9 * mass.max())
+    np.testing.assert_allclose(gravity[:, 0], turn.T @ weight, atol=1e-9 * np.abs(gravity).max())
+    axis = check(crane)[1]
+    assert axis.damping == pytest.approx(700 + 500 * slopes[0] ** 2 + 300 * slopes[1] ** 2)
+    assert axis.holding == pytest.approx(gravity[1, 0] / (np.pi / 4 * 0.08**2), rel=1e-9)
+
+
+def test_a_load_on_a_hook_hangs_at_its_rope():
+    """A rope is two passive joints, a winch a cylinder along it: its pull, and the modes of a pendulum."""
+    crane = read(Path("hook.toml"), entry(__file__, "hook").encode())
+    _, rope = axes = check(crane)
+    gravity = 9.80665
+    # it pulls with its rod side; gravity of the file of the paper
+    assert rope.holding == pytest.approx(520 * gravity / (np.pi / 4 * (0.04**2 - 0.02**2)), rel=1e-4)
+    assert (rope.low, rope.high) == (0, 6)
+    chain, _, _ = model(crane)
+    s, w = ca.SX.sym("s", 4), ca.SX.sym("w", 4)
+    motion = chain.equations(s, w)
+    pull = ca.Function("pull", [s, w], [motion.gravity[3], motion.coriolis[3]])
+    # hook at 2.5 m + 1.5 m, aside by 0.3 rad, turning with 0.7 rad/s: m (g cos + l w^2)
+    weight, swung = map(float, pull([0, 0.3, 0, 1.5], [0, 0.7, 0, 0]))
+    assert (weight, swung) == pytest.approx((-20 * 9.81 * np.cos(0.3), -20 * 4 * 0.49), rel=1e-3)
+    sway = np.sqrt(gravity / 2.5) / (2 * np.pi)
+    assert modes(crane, axes)[:2] == pytest.approx([sway, sway], rel=1e-2)  # the hook's own inertia, its boom

@@ -21,31 +21,41 @@ STROKE = 'stroke = "610 mm"'
 SWAPS = {"lumped": {}, "compensated": {"drives": "compensated", "supply": "load_sensing"}}
 
 
-@pytest.mark.parametrize(
-    "dry", [(), (("[boom]", '[boom]\nfriction = "2 kN.m"'), (STROKE, f'{STROKE}, friction = "9 kN"'))]
-)
-def test_speeds_are_in_balance_with_edges_hoses_friction_and_weight(tmp_path, dry):
-    """Of boom and telescope of the loader with spool valves, by bisection; also with dry friction."""
-    loader = read(changed(tmp_path, *dry))
+DRY = (("[boom]", '[boom]\nfriction = "2 kN.m"'), (STROKE, f'{STROKE}, friction = "9 kN"'))
+NARROW = ('valve = "40 mm2", hose = "3 m"', 'valve = "40 mm2", OWN, hose = "3 m"')
+OWN = 'rod_valve = "25 mm2", head_return = "12 mm2", rod_return = "55 mm2"'
 
-    def excess(v, joint, gain, filled, emptied, load, friction, rubbing):
+
+@pytest.mark.parametrize("changes", [(), DRY, (tuple(x.replace("OWN", OWN) for x in NARROW),)])
+def test_speeds_are_in_balance_with_edges_hoses_friction_and_weight(tmp_path, changes):
+    """Of boom and telescope of the loader with spool valves, by bisection; also with dry friction.
+
+    And with edges of their own, of which one is wider than `valve`.
+    """
+    loader, dry = read(changed(tmp_path, *changes)), changes == DRY
+
+    def excess(v, joint, gains, filled, emptied, load, friction, rubbing):
         hose = {"density": 870.0, "viscosity": 0.02} | {
             f"own_{n}": joint[n] for n in ("hose_length", "hose_bore")
         }
-        lost = (a * ((a * v / gain) ** 2 + hose_drop(hose, "own", a * v)) for a in (filled, emptied))
+        sides = zip((filled, emptied), gains, strict=True)
+        lost = (a * ((a * v / gain) ** 2 + hose_drop(hose, "own", a * v)) for a, gain in sides)
         return filled * 215e5 - sum(lost) - load - friction * v - rubbing
 
     pose, axes = outputs_at_start(manipulator(loader)), check(loader)[1::2]
     for axis, speeds in zip(axes, full_speeds(loader, axes, ["lumped"]).values(), strict=True):
         joint, lever = axis.joint, abs(axis.lever)
         head, rod = (pi / 4 * d for d in (joint["bore"] ** 2, joint["bore"] ** 2 - joint["rod"] ** 2))
-        gain = 0.62 * joint["valve_area"] * np.sqrt(2 / 870.0)
+        edges = np.full((2, 2), joint["valve_area"])  # in and out, of both directions
+        if changes and not dry and joint.name == "boom":
+            edges = np.array([[40e-6, 55e-6], [25e-6, 12e-6]])
+        gains = 0.62 * edges * np.sqrt(2 / 870.0)
         weight = pose[f"{joint.name}_holding_force"]
         friction = joint["piston_damping"] + joint["damping"] / lever**2
         rubbing = 2e3 / lever + 9e3 if dry and joint.name == "boom" else 0.0
         sides = ((head, rod, weight), (rod, head, -weight))
-        for (filled, emptied, load), speed in zip(sides, speeds["lumped"][:2], strict=True):
-            numbers = joint, gain, filled, emptied, load, friction, rubbing
+        for own, (filled, emptied, load), speed in zip(gains, sides, speeds["lumped"][:2], strict=True):
+            numbers = joint, own, filled, emptied, load, friction, rubbing
             # 0.5 %: leakage of the valve, the laminar part of its flow, rounding of the hose's friction
             assert speed * lever == pytest.approx(brentq(excess, 1e-9, 5, numbers), rel=5e-3)
 

@@ -26,11 +26,11 @@ from fmus.parameters import numbers
 PARTS = ("swing", "boom_stick")
 PORTS = ("boom_head_pressure", "boom_rod_pressure")
 VALVES = ("boom_head_valve_pressure", "boom_rod_valve_pressure")
-# a crane of one's own: a valve for two axes, another one for the third
+# a crane of one's own: a valve for two axes, another one for the third; cylinders without some load holding
 AXES = (
-    Axis("lift", CYLINDER, cylinder.Inputs),
+    Axis("lift", CYLINDER, cylinder.Inputs, held=()),
     Axis("slew", MOTOR, motor.Inputs),
-    Axis("grab", CYLINDER, cylinder.Inputs, own_valve=True),
+    Axis("grab", CYLINDER, cylinder.Inputs, own_valve=True, held=("head",)),
 )
 FROM = {"lift_": "boom_", "grab_valve_spool_": "spool_", "grab_valve_": "valve_", "grab_": "stick_"}
 FROM |= {"slew_brake_holding_": "brake_", "slew_": ""}
