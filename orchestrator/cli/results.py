@@ -195,6 +195,6 @@ def _write(figure: Figure, picture: Path) -> Path:
     from orchestrator.pages.plotting import pdf, png, svg
 
     make_folder(picture.parent)
-    drawn = {".svg": lambda: svg(figure, transparent=False).encode(), ".pdf": lambda: pdf(figure)}
+    drawn = {".svg": lambda: svg(figure).encode(), ".pdf": lambda: pdf(figure)}
     write_whole(picture, drawn.get(picture.suffix.lower(), lambda: png(figure))())
     return picture

@@ -117,7 +117,8 @@ def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
 class TraceLine:
     """A curve: samples over time [s], or over the figure's axis, in the unit of the panel.
 
-    style   options of a matplotlib line: color, linewidth [pt], linestyle; marker, markerfacecolor
+    style   options of a matplotlib line: color, linewidth [pt], linestyle; marker, markerfacecolor, alpha;
+            fill: the curve is the outline of bars
     name    what distinguishes the curve in its panel, such as "head"; empty if there is only one
     key     entry of the figure's key that it belongs to, such as "simulation"
     error   half the length of each error bar, or down and up, shape (2, n), of a figure with an axis
@@ -267,14 +268,20 @@ def plot(figure: TraceFigure, name: str) -> Markup:
 
     name   what the figure shows, for readers who do not see it; the figure's title by default
 
-    The page must have `plot_scripts`, see `html_page.render`.
+    Bars have no such table: their numbers are in the text. The page must have `plot_scripts`, see
+    `html_page.render`.
     """
     name = figure.title or name
+    folded = Markup("<details><summary>Extremes of {}</summary>{}</details>")
+    bars = any("fill" in line.style for panel in figure.panels for line in panel.lines)
     return Markup(
         '<div class="plot" role="group" aria-label="{name}">'
-        '<script type="application/json">{spec}</script>'
-        "<details><summary>Extremes of {name}</summary>{table}</details></div>"
-    ).format(name=name, spec=script_data(_spec(figure)), table=_extremes(figure).html())
+        '<script type="application/json">{spec}</script>{table}</div>'
+    ).format(
+        name=name,
+        spec=script_data(_spec(figure)),
+        table="" if bars else folded.format(name, _extremes(figure).html()),
+    )
 
 
 def script_data(data: Any) -> Markup:
@@ -387,7 +394,7 @@ def _style_spec(style: Style) -> dict[str, Any]:
     spec |= {"alpha": style["alpha"]} if "alpha" in style else {}
     if "marker" in style:
         spec |= {"mark": style["marker"], "hollow": int(style.get("markerfacecolor") == "none")}
-    return spec | ({"area": 1} if "area" in style else {})
+    return spec | {name: 1 for name in ("area", "fill") if name in style}
 
 
 def _name(colour: str) -> str:

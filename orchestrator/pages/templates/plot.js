@@ -71,8 +71,11 @@
     return values.map((value) => (plain ? String(exact(value)).replace("-", "−") : typeset(exact(value), 4)));
   }
 
-  // ticks with words
-  const worded = (words) => ({ splits: () => [...words.keys()].sort((a, b) => a - b), values: (_, at) => at.map((value) => words.get(value)) });
+  // ticks with words, of which the longest line has this place beside the plot
+  const worded = (words) => ({
+    size: Math.max(AXIS, 16 + 6.2 * Math.max(...[...words.values()].flatMap((word) => word.split("\n")).map((word) => word.length))),
+    splits: () => [...words.keys()].sort((a, b) => a - b), values: (_, at) => at.map((value) => words.get(value)),
+  });
 
   // a sample of the line, so that it is known by more than its colour
   function swatch(button, line) {
@@ -81,7 +84,7 @@
     const path = button.querySelector("path");
     if (line.mark) path.setAttribute("d", "M10 4a3 3 0 1 0 6 0a3 3 0 1 0-6 0");
     path.style.stroke = line.colour.startsWith("#") ? line.colour : `var(--fig-${line.colour})`;
-    path.setAttribute("stroke-width", line.mark ? 1.5 : Math.min(line.area ? 8 : line.width, 6));
+    path.setAttribute("stroke-width", line.mark ? 1.5 : Math.min(line.area || line.fill ? 8 : line.width, 6));
     if (line.dash && !line.mark) path.setAttribute("stroke-dasharray", line.dash.join(" "));
   }
 
@@ -103,6 +106,7 @@
 
     toolbar(name) {
       const bar = element("div", this.live, { class: "tools", role: "toolbar", "aria-label": `${name}: zoom and curves` });
+      bar.hidden = this.spec.charts.some(({ lines }) => lines.some((line) => line.fill)); // bars need no zoom
       const button = (sign, text, act) => {
         const made = element("button", bar, { type: "button", "aria-label": text, title: text }, sign);
         made.addEventListener("click", act);
@@ -148,7 +152,7 @@
       const head = element("div", this.live, { class: chart.strip ? "head strip" : "head" });
       if (!chart.strip) this.panel = this.charts.length;
       element("b", head, {}, chart.label);
-      if (!chart.words) element("span", head, { class: "soft" }, `[${chart.unit || "1"}]`);
+      if (!chart.words && (chart.unit || !this.spec.axis)) element("span", head, { class: "soft" }, `[${chart.unit || "1"}]`);
       const lines = chart.lines.map((line) => ({ ...line, panel: this.panel }));
       const named = chart.strip ? [] : lines.filter((one, k) => one.name && lines.findIndex((l) => l.name === one.name) === k);
       for (const line of named) this.toggle(head, line.name, line, `${line.panel} ${line.name}`);
@@ -229,6 +233,7 @@
       for (const line of lines.filter((one) => this.shows(one))) {
         const [xs, ys] = [at(line.x, "x"), at(line.column, "y")];
         ctx.strokeStyle = ctx.fillStyle = colour(line.colour);
+        ctx.globalAlpha = line.alpha ?? 1;
         ctx.lineWidth = Math.min(line.width, line.mark ? 1.4 : 6) * pixel;
         ctx.setLineDash((line.dash ?? []).map((length) => (line.mark ? 0 : length * pixel)).filter(Boolean));
         ctx.beginPath();
@@ -237,7 +242,7 @@
         const drawn = points.filter(([, y]) => y !== null);
         if (line.mark) for (const [x, y] of drawn) SHAPES[line.mark].forEach((outline) => path(outline.map(([a, b]) => [x + 3 * a * pixel, y + 3 * b * pixel])));
         else path(points);
-        if (line.mark && !line.hollow) ctx.fill();
+        if (line.fill || (line.mark && !line.hollow)) ctx.fill();
         const [lows, highs] = line.low === undefined ? [[], []] : [at(line.low, "y"), at(line.high, "y")];
         lows.forEach((low, k) => ys[k] !== null && path([[xs[k], low ?? top + height], [xs[k], highs[k] ?? ys[k]]]));
         ctx.stroke();
