@@ -194,6 +194,7 @@ class TraceFigure:
     key      (text, style) of what the line styles mean
     axis     label of the axis, if it is not the time: then each curve has its own places on it, and may be
              a cloud of marks
+    ticks    logarithm to the base 10, which is the place on the axis -> label; empty: a linear axis
     """
 
     panels: Sequence[TracePanel]
@@ -202,6 +203,7 @@ class TraceFigure:
     below: str = ""
     key: Sequence[tuple[str, Style]] = ()
     axis: str = ""
+    ticks: Mapping[float, str] = field(default_factory=dict)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -301,9 +303,10 @@ def _extremes(figure: TraceFigure) -> TextTable:
             label = " ".join(filter(None, (chart.panel.heading, chart.label if chart.strip else "")))
             cells = [label + (f": {line.label}" if line.label else ""), pretty(chart.unit) or "1"]
             for k in (int(values.argmin()), int(values.argmax())):
+                at = 10 ** time[k] if figure.ticks else time[k]
                 cells += [
                     typeset(number(float(values[k]), 4)),
-                    number(float(time[k]), 4) if figure.axis else f"{time[k]:.2f}",
+                    number(float(at), 4) if figure.axis else f"{at:.2f}",
                 ]
             rows.append(cells)
     at = f"at {figure.axis}" if figure.axis else "at [s]"
@@ -343,6 +346,7 @@ def _spec(figure: TraceFigure) -> dict[str, Any]:
         "window": list(figure.span),
         "below": figure.below,
         "axis": figure.axis,
+        **({"ticks": list(figure.ticks.items())} if figure.ticks else {}),
         **pack(columns),
     }
 

@@ -133,7 +133,12 @@ def draw(shown: TraceFigure) -> Figure:
         if panel.errors:
             _draw_errors(next(remaining), panel)
     axes[-1].set_xlabel(shown.axis or "time [s]", color=PALETTE.ink)
-    power_ticks(axes[-1].xaxis)
+    if shown.ticks:
+        low, high = shown.span
+        inside = {place: label for place, label in shown.ticks.items() if low <= place <= high}
+        axes[-1].set_xticks([*inside], [*inside.values()])
+    else:
+        power_ticks(axes[-1].xaxis)
     if shown.window:
         axes[-1].set_xlim(*shown.window)
     heading(figure, shown.title, shown.below)

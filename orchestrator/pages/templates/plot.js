@@ -191,7 +191,7 @@
         series: [{}, ...(this.spec.axis ? [{}] : lines.map(line))],
         bands: areas.map((k) => ({ series: [k + 2, k + 1], fill: () => `color-mix(in srgb, ${colour(lines[k].colour)} 40%, transparent)` })),
         axes: [
-          { ...axis, size: last ? LAST : 0, splits: (plot, _, low, high) => splits(low, high, Math.max(2, Math.floor(plot.width / 90))), values: (_, at) => (last ? tick(at) : at.map(() => "")), label: last ? this.spec.axis || "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
+          { ...axis, size: last ? LAST : 0, ...this.places(last), label: last ? this.spec.axis || "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
           { ...axis, size: AXIS, ...(chart.words ? worded(new Map(chart.words)) : { splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => (chart.log ? at.map((power) => typeset(10 ** power, 2)) : tick(at)) }) },
         ],
         hooks: {
@@ -200,6 +200,15 @@
           setSelect: [(plot) => this.selected(plot)],
           setCursor: [(plot) => plot.cursor.event && this.read(plot.cursor.idx === null ? null : plot.posToVal(plot.cursor.left, "x"))],
         },
+      };
+    }
+
+    // ticks of the common axis, whose labels are below the last chart
+    places(last) {
+      const ticks = this.spec.ticks && new Map(this.spec.ticks);
+      return {
+        splits: (plot, _, low, high) => (ticks ? [...ticks.keys()].filter((at) => at >= low && at <= high) : splits(low, high, Math.max(2, Math.floor(plot.width / 90)))),
+        values: (_, at) => (last ? (ticks ? at.map((one) => ticks.get(one)) : tick(at)) : at.map(() => "")),
       };
     }
 
@@ -282,7 +291,7 @@
 
     read(time) {
       const [low, high] = this.range;
-      this.clock.textContent = time === null ? `${typeset(low, 4)} to ${typeset(high, 4)}${this.spec.axis ? "" : " s"}` : `t = ${time.toFixed(3)} s`;
+      this.clock.textContent = this.spec.ticks ? "" : time === null ? `${typeset(low, 4)} to ${typeset(high, 4)}${this.spec.axis ? "" : " s"}` : `t = ${time.toFixed(3)} s`;
       if (time !== null) this.slider.value = (1000 * (time - low)) / this.length;
       this.slider.setAttribute("aria-valuetext", this.clock.textContent);
       for (const { plot, lines, values } of this.spec.axis ? [] : this.charts) {
