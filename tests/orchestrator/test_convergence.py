@@ -244,7 +244,7 @@ def test_figures_label_every_curve(moving):
     found = ConvergenceStudy(solution, tuple(rows))
     for over_cost in (False, True):
         for panel in figure(found, over_cost=over_cost).panels:
-            named = {line.name for line in panel.lines}
+            named = {line.key for line in panel.lines}
             assert {f"jacobi order {n}" for n in range(3)} | {"hermite to tolerance"} <= named
             assert (UNSTABLE in named) is not over_cost
     axes = draw(figure(found)).axes

@@ -154,7 +154,8 @@ def figure(study: ConvergenceStudy, group: str | None = None, over_cost: bool = 
     ticks = {k + float(np.log10(m)): f"{m * 10.0**k:g}" for k in decades for m in (1, 2, 5)}
     axis = "wall time per simulated second [ms]" if over_cost else "communication step [ms]"
     below = f"root mean square error over range of the worst signal, against {study.reference.heading}"
-    return TraceFigure(panels, axis=axis, below=below, ticks=ticks)
+    key = {line.key: line.style for panel in panels for line in panel.lines}
+    return TraceFigure(panels, axis=axis, below=below, ticks=ticks, key=[*key.items()])
 
 
 def _panel(study: ConvergenceStudy, group: str, over_cost: bool) -> TracePanel:
@@ -164,18 +165,18 @@ def _panel(study: ConvergenceStudy, group: str, over_cost: bool) -> TracePanel:
         colour, name = PALETTE.colour(FAMILIES.index(runs[0].setting.family)), runs[0].setting.curve
         places = np.log10([1e3 * (run.cost if over_cost else run.mean_step) for run in stable])
         errors = np.array([run.error(group) for run in stable])
-        styles: list[Style] = [{"linestyle": LINE_STYLES[index % 4]}, {"marker": MARKERS[index % 4]}]
-        lines += [TraceLine(places, errors, {"color": colour, **s}, name) for s in styles if stable]
+        styles: list[Style] = [{"marker": MARKERS[index % 4]}, {"linestyle": LINE_STYLES[index % 4]}]
+        lines += [TraceLine(places, errors, {"color": colour, **s}, key=name) for s in styles if stable]
         unstable = np.log10([1e3 * run.mean_step for run in runs if not (run.stable or run.refusal)])
-        style = {"color": colour, "marker": "x"}
-        lost += [TraceLine(unstable, np.ones(len(unstable)), style, UNSTABLE)] if len(unstable) else []
+        cross: Style = {"color": colour, "marker": "x", "linestyle": "none"}
+        lost += [TraceLine(unstable, np.ones(len(unstable)), cross, key=UNSTABLE)] if len(unstable) else []
     low = float(min((line.values.min() for line in lines), default=1.0))
     if not over_cost:
         lines += lost  # at an error of 1, above the curves
         if len(study.steps) > 1 and low > 0:
-            ends = np.array([study.steps[-1] / 1.5, study.steps[-1]])  # lower right
+            ends = np.array([study.steps[-1] / 3, study.steps[-1]])  # lower right
             for order, dashes in zip(SLOPES, LINE_STYLES, strict=False):
                 grey: Style = {"color": PALETTE.faint, "linewidth": 0.9, "linestyle": dashes}
                 slope = low * (ends / ends[0]) ** order
-                lines.append(TraceLine(np.log10(1e3 * ends), slope, grey, f"slope of order {order}"))
-    return TracePanel("", lines, f"worst {group}", heights=(9.0, 0.0), log=True, key_beside=True)
+                lines.append(TraceLine(np.log10(1e3 * ends), slope, grey, key=f"slope of order {order}"))
+    return TracePanel("", lines, f"worst {group}", heights=(9.0, 0.0), log=True)
