@@ -317,7 +317,7 @@ class ConvergenceStudy:
         if next_finer is None or not (next_finer.stable and setting_run.stable):
             return None
         small, large = next_finer.error(group), setting_run.error(group)
-        if min(small, large) < ROUNDING:
+        if min(small, large) < ROUNDING or setting_run.mean_step <= next_finer.mean_step:
             return None
         return log(large / small) / log(setting_run.mean_step / next_finer.mean_step)
 
