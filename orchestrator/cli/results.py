@@ -126,7 +126,6 @@ def plot(
     stop      End of the time window [s]; default: all.
     out       File of a picture (.png, .svg, .pdf); default: a page, build/plot.html, with zoom and values.
     """
-    from orchestrator.pages import html_page
     from orchestrator.pages.plotting import draw
     from orchestrator.results.report import Figure, Report
 
@@ -141,7 +140,7 @@ def plot(
     told = f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}"
     print(f"{told}{more}")
     if out is None:
-        html_page.write_text(BUILD / "plot.html", Report(title, told, [Figure(figure, title)]).html())
+        write_whole(BUILD / "plot.html", Report(title, told, [Figure(figure, title)]).html())
         print(f"page: {BUILD / 'plot.html'}")
     else:
         print(f"picture: {_write(draw(figure), out)}")

@@ -72,6 +72,16 @@ def run(
     return _co_simulated(*begun(system, scenario, options), lambda _: TraceInMemory())[0]
 
 
+def attempt(
+    system: System | str | Path, scenario: ScenarioSource = None, **options: Unpack[RunArguments]
+) -> tuple[Result, str]:
+    """The result of `run`, also if it ended early, and why it did; raises Problem if it did not begin."""
+    try:
+        return run(system, scenario, **options), ""
+    except RunFailed as failed:
+        return failed.result, str(failed)
+
+
 Sink = TypeVar("Sink", bound=TraceSink)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -13,7 +12,6 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from orchestrator.base.files import write_whole
 from orchestrator.base.text import TextTable, jinja_environment, typeset
 from orchestrator.base.units import pretty
 from orchestrator.pages.figures import plot_scripts
@@ -77,17 +75,6 @@ def typeset_table(table: TextTable) -> TextTable:
         return typeset(re.sub(QUANTITY, lambda m: f"{m[1]} {pretty(m[2])}", text))
 
     return replace(table, rows=[[cell(text) for text in row] for row in table.rows])
-
-
-def write_text(path: Path, text: str) -> Path:
-    """Write a text file with the same bytes on every platform; its folder is made if needed."""
-    return write_whole(path, text)
-
-
-def write_json(path: Path, values: Any) -> Path:
-    """Write values as JSON, converted by `json_values`."""
-    text = json.dumps(json_values(values), indent=1, allow_nan=False, ensure_ascii=False)
-    return write_text(path, text + "\n")
 
 
 def json_values(values: Any) -> Any:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import io
 import itertools
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -22,7 +21,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
 from orchestrator.base.text import MINUS, typeset
 from orchestrator.base.units import pretty, reader_unit, superscript
@@ -68,26 +66,6 @@ def style_axes(axes: Axes, x: str = "", y: str = "", size: float = 9) -> None:
         axes.set_xlabel(x, color=PALETTE.ink, fontsize=size)
     if y:
         axes.set_ylabel(y, color=PALETTE.ink, fontsize=size)
-
-
-def limit_ticks(axis: Axis, count: int = 5) -> None:
-    """At most `count` ticks; a common power of ten of the tick labels is part of the axis label."""
-    axis.set_major_locator(MaxNLocator(count))
-    low, high = axis.get_view_interval()
-    power = power_of_ten(low, high)
-    scale = 10.0**power
-    span = abs(high - low) / scale
-    digits = min(4, max(0, 1 - math.floor(math.log10(span)))) if span > 0 else 2
-
-    def tick_label(value: float, _: object) -> str:
-        label = f"{value / scale:.{digits}f}"
-        label = label.rstrip("0").rstrip(".") if "." in label else label
-        return "0" if label == "-0" else label.replace("-", MINUS)
-
-    axis.set_major_formatter(tick_label)
-    if power:
-        name, bracket, unit = axis.get_label_text().partition("[")
-        axis.set_label_text(f"{name.rstrip()} [10{superscript(str(power))}{f' {unit}' if bracket else ']'}")
 
 
 def power_ticks(axis: Axis) -> None:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from orchestrator.base.files import write_whole
 from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
-from orchestrator.pages.html_page import json_values, write_text
+from orchestrator.pages.html_page import json_values
 from orchestrator.results.report import TERMINAL, Columns, Facts, Figure, Part, Report, Section, Table, Text
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import output_description, sentences, size
@@ -47,8 +48,8 @@ PURE = DisplayUnit("", "")
 def write(folder: Path, results: Results) -> Report:
     """Analyse a study and write both files; equal results give equal bytes."""
     made = study_report(results, analyse(results))
-    write_text(folder / PAGE, made.html())
-    write_text(folder / NUMBERS, made.json() + "\n")
+    write_whole(folder / PAGE, made.html())
+    write_whole(folder / NUMBERS, made.json() + "\n")
     return made
 
 
