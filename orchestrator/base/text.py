@@ -210,15 +210,16 @@ class TextTable:
         ]
         body = Markup("\n").join(rows)
         name = self.title or self.head[0] or "numbers"
-        kind = "wide stack" if len(self.left) >= TEXTS else "wide"
-        opening = Markup('<div class="{}" tabindex="0" role="group" aria-label="{}, table">')
-        return opening.format(kind, name) + Markup("<table>\n{}\n</table></div>").format(body)
+        kind, heads = "wide", ""
+        if len(self.left) >= TEXTS:
+            quoted = (head.replace("\\", "").replace('"', "'") for head in self.head)
+            kind, heads = "wide stack", ";".join(f'--h{k}:"{head}"' for k, head in enumerate(quoted, 1))
+        opening = Markup('<div class="{}" style="{}" tabindex="0" role="group" aria-label="{}, table">')
+        return opening.format(kind, heads, name) + Markup("<table>\n{}\n</table></div>").format(body)
 
     def _cells(self, tag: str, row: Sequence[str]) -> Iterable[Markup]:
         for i, cell in enumerate(row):
-            attribute = Markup("" if i in self.left else ' class="n"')
-            if tag == "td" and i and len(self.left) >= TEXTS:
-                attribute += Markup(' data-head="{}"').format(self.head[i])
+            attribute = "" if i in self.left else ' class="n"'
             yield Markup(f"<{tag}{attribute}>") + escape(cell) + Markup(f"</{tag}>")
 
 

@@ -12,6 +12,7 @@ import base64
 import itertools
 import json
 import math
+import re
 import zlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -460,6 +461,7 @@ def plot_scripts() -> Markup:
         for name in ("uPlot.iife.min.js", "uPlot.min.css", "LICENSE")
     )
     script = (TEMPLATES / "plot.js").read_text(encoding="utf-8")
+    script = re.sub(r"^ +(//.*\n)?", "", script, flags=re.MULTILINE)  # without indentation and comments
     return Markup(
         f"<style>{style}</style>\n<script>\n/*\n{licence}*/\n{library}</script>\n<script>\n{script}</script>"
     )

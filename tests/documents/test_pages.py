@@ -215,8 +215,9 @@ def test_tables_of_texts_are_read_on_a_phone(name: str, files: Any, opened: Any)
     page.evaluate("document.querySelectorAll('details').forEach(d => d.open = true)")
     hidden = "[...document.querySelectorAll('.stack')].map(t => t.scrollWidth - t.clientWidth)"
     assert max(page.evaluate(hidden)) <= 0
-    cells = "[...document.querySelectorAll('.stack td[data-head]')].filter(t => t.textContent)"
-    shown = page.evaluate(f"{cells}.map(t => [t.dataset.head, getComputedStyle(t, '::before').content])")
+    cells = "[...document.querySelectorAll('.stack td + td')].filter(t => t.textContent)"
+    head = "t.closest('table').rows[0].cells[t.cellIndex].textContent"
+    shown = page.evaluate(f"{cells}.map(t => [{head}, getComputedStyle(t, '::before').content])")
     assert shown
     assert [(head, content) for head, content in shown if head not in content] == []
 
