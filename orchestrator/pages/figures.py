@@ -138,6 +138,14 @@ class TraceLine:
         return ", ".join(filter(None, (self.name, self.key)))
 
 
+def bars(spans: Sequence[tuple[float, float, float]], half: float, colour: str, name: str = "") -> TraceLine:
+    """Horizontal bars from a begin to an end around a row: (row, begin, end) each, as one outline."""
+    x = np.concatenate([[low, high, high, low, low, np.nan] for _, low, high in spans])
+    sides = half * np.array([-1, -1, 1, 1, -1, np.nan])
+    y = np.concatenate([row + sides for row, *_ in spans])
+    return TraceLine(x, y, {"color": colour, "fill": True}, name)
+
+
 @dataclass(frozen=True)
 class TraceArea:
     """The area between two curves over time [s], shape (n,) each."""
@@ -210,7 +218,7 @@ class TraceFigure:
     def span(self) -> tuple[float, float]:
         """First and last time [s]; around a single point in time there is a margin."""
         times = [line.time for panel in self.panels for line in panel.lines if len(line.time)]
-        start, stop = self.window or (float(min(map(np.min, times))), float(max(map(np.max, times))))
+        start, stop = self.window or (float(min(map(np.nanmin, times))), float(max(map(np.nanmax, times))))
         margin = 0.1 * abs(start) or 1.0
         if start >= stop:
             return start - margin, start + margin

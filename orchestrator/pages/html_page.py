@@ -27,16 +27,10 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     plots      whether the page has figures of `orchestrator.pages.figures.plot`
     content    variables of the template, besides `title` and `style`
 
-    Templates can use the macros of `parts.html.j2`, and the filters typeset, upper_first, sentence and
-    breakable.
+    Templates can use the filter `sentence`.
     """
     environment = jinja_environment(template.parent, TEMPLATES, escaped=True)
-    environment.filters.update(
-        typeset=typeset_code,
-        breakable=breakable,
-        upper_first=upper_first,
-        sentence=sentence,
-    )
+    environment.filters["sentence"] = sentence
     styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
     texts = (path.read_text(encoding="utf-8") for path in styles if path.is_file())
     style = Markup("\n".join(re.sub(r"^ +", "", text, flags=re.MULTILINE) for text in texts))

@@ -140,7 +140,10 @@ def _draw_panel(axes: Axes, panel: TracePanel) -> None:
     axes.margins(y=0.12)
     if panel.log:
         axes.set_yscale("log")
-    power_ticks(axes.yaxis)
+    if panel.words:
+        axes.set_yticks([*panel.words], [*panel.words.values()])
+    else:
+        power_ticks(axes.yaxis)
     if panel.title:
         axes.set_title(panel.title, loc="left", fontsize=9, color=PALETTE.ink, pad=3)
     if any(line.name for line in panel.lines):

@@ -71,11 +71,8 @@
     return values.map((value) => (plain ? String(exact(value)).replace("-", "−") : typeset(exact(value), 4)));
   }
 
-  // ticks with words, of which the longest line has this place beside the plot
-  const worded = (words) => ({
-    size: Math.max(AXIS, 16 + 6.2 * Math.max(...[...words.values()].flatMap((word) => word.split("\n")).map((word) => word.length))),
-    splits: () => [...words.keys()].sort((a, b) => a - b), values: (_, at) => at.map((value) => words.get(value)),
-  });
+  // ticks with words
+  const worded = (words) => ({ splits: () => [...words.keys()].sort((a, b) => a - b), values: (_, at) => at.map((value) => words.get(value)) });
 
   // a sample of the line, so that it is known by more than its colour
   function swatch(button, line) {
@@ -93,6 +90,8 @@
       [this.spec, this.columns, this.charts, this.off, this.whole] = [spec, columns, [], new Set(), spec.window];
       this.range = [...this.whole];
       this.name = host.getAttribute("aria-label");
+      const words = spec.charts.flatMap((chart) => (chart.words ?? []).flatMap(([, word]) => word.split("\n")));
+      this.beside = Math.max(AXIS, ...words.map((word) => 16 + 6.2 * word.length)); // px for the longest line
       this.live = element("div", host, { class: "live" });
       host.insertBefore(this.live, host.firstChild);
       this.toolbar(this.name);
@@ -192,7 +191,7 @@
         bands: areas.map((k) => ({ series: [k + 2, k + 1], fill: () => `color-mix(in srgb, ${colour(lines[k].colour)} 40%, transparent)` })),
         axes: [
           { ...axis, size: last ? LAST : 0, ...this.places(last), label: last ? this.spec.axis || "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
-          { ...axis, size: AXIS, ...(chart.words ? worded(new Map(chart.words)) : { splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => (chart.log ? at.map((power) => typeset(10 ** power, 2)) : tick(at)) }) },
+          { ...axis, size: this.beside, ...(chart.words ? worded(new Map(chart.words)) : { splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => (chart.log ? at.map((power) => typeset(10 ** power, 2)) : tick(at)) }) },
         ],
         hooks: {
           drawAxes: [(plot) => this.bounds(plot, chart)],

@@ -8,7 +8,7 @@ tornado     sensitivities of an output, the largest on top, each bar with its 95
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ import pandas as pd
 
 from orchestrator.base.text import DisplayUnit, display_unit, name_with_unit
 from orchestrator.data.table import Array
-from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
+from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel, bars
 from orchestrator.studies.analysis.output_samples import done
 from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, OutputAnalysis, Sensitivity
 from orchestrator.studies.store import Results
@@ -162,18 +162,19 @@ def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> TraceFigure:
         return unit.factor * np.clip([*values], 0.0, most)
 
     rows = [-float(k) for k in range(len(effects))]
-    bars = [drawn([effect.estimates[measure].value])[0] for effect in effects]
+    ends = [drawn([effect.estimates[measure].value])[0] for effect in effects]
     lines = []
     for kind, name, colour in (("factor", "factor", LIGHT[0]), ("choice", "choice", LIGHT[1])):
-        of_kind = [(row, bar) for row, bar, e in zip(rows, bars, effects, strict=True) if e.kind == kind]
-        lines += [_bars(of_kind, 0.36, colour, name)] if of_kind else []
+        of_kind = [(row, 0.0, end) for row, end, e in zip(rows, ends, effects, strict=True) if e.kind == kind]
+        lines += [bars(of_kind, 0.36, colour, name)] if of_kind else []
     if measure == TOTAL:
         firsts = drawn(effect.estimates[FIRST].value for effect in effects)
-        lines.append(_bars([*zip(rows, firsts, strict=True)], 0.17, DARK[0], "first order"))
+        within = [(row, 0.0, first) for row, first in zip(rows, firsts, strict=True)]
+        lines.append(bars(within, 0.17, DARK[0], "first order"))
     estimates = [(row, e.estimates[measure]) for row, e in zip(rows, effects, strict=True)]
-    if ends := [(row, e.floor, e.ceiling) for row, e in estimates if e.low is not None]:
-        x = np.concatenate([[*drawn([low, high]), np.nan] for _, low, high in ends])
-        y = np.concatenate([[row, row, np.nan] for row, *_ in ends])
+    if limits := [(row, e.floor, e.ceiling) for row, e in estimates if e.low is not None]:
+        x = np.concatenate([[*drawn([low, high]), np.nan] for _, low, high in limits])
+        y = np.concatenate([[row, row, np.nan] for row, *_ in limits])
         lines.append(TraceLine(x, y, {"color": PALETTE.ink, "linewidth": 1.4}, "95 %"))
     if spread := [(row, e.more["sigma"]) for row, e in zip(rows, effects, strict=True) if "sigma" in e.more]:
         style = {"color": PALETTE.bad, "marker": "D"}
@@ -184,12 +185,3 @@ def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> TraceFigure:
     axis = name_with_unit(LABELS.get(measure, "fraction of the variance"), unit.display)
     panel = TracePanel("", lines, heights=(0.6 * len(effects) + 0.8, 0.0), words=names)
     return TraceFigure([panel], (0.0, right or 1.0), axis=axis)
-
-
-def _bars(ends: Sequence[tuple[float, float]], half: float, colour: str, name: str) -> TraceLine:
-    """Horizontal bars from 0 to an end, around a row each."""
-    x = np.concatenate([[0.0, end, end, 0.0, 0.0, np.nan] for _, end in ends])
-    y = np.concatenate(
-        [[row - half, row - half, row + half, row + half, row - half, np.nan] for row, _ in ends]
-    )
-    return TraceLine(x, y, {"color": colour, "fill": True}, name)
