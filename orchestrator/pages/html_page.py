@@ -33,7 +33,7 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     environment.filters["sentence"] = sentence
     styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
     texts = (path.read_text(encoding="utf-8") for path in styles if path.is_file())
-    style = Markup("\n".join(re.sub(r"^ +", "", text, flags=re.MULTILINE) for text in texts))
+    style = Markup("\n".join(re.sub(r"^ +|/\*.*?\*/", "", text, flags=re.MULTILINE) for text in texts))
     scripts = plot_scripts() if plots else ""
     page = environment.get_template(template.name)
     return str(page.render(title=title, style=style, plots=scripts, **content))

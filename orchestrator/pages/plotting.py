@@ -128,8 +128,8 @@ def draw(shown: TraceFigure) -> Figure:
 
 
 def _draw_panel(axes: Axes, panel: TracePanel) -> None:
-    unit = f"[{pretty(panel.unit) or '1'}]"
-    style_axes(axes, y=f"{panel.label}\n{unit}" if panel.label else unit)
+    unit = "" if panel.words else f"[{pretty(panel.unit) or '1'}]"
+    style_axes(axes, y=f"{panel.label}\n{unit}".strip())
     for area in panel.areas:
         axes.fill_between(area.time, area.low, area.high, color=area.colour, alpha=0.4, linewidth=0)
     named = set[str]()
