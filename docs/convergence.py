@@ -15,13 +15,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from orchestrator.pages.plotting import png
-from orchestrator.studies.convergence.convergence_report import (
-    adaptive_table,
-    draw,
-    error_table,
-    maximum_table,
-)
+from orchestrator.pages.plotting import draw, png
+from orchestrator.studies.convergence.convergence_report import error_table, figure
 from orchestrator.studies.convergence.convergence_study import ConvergenceStudy, convergence
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,7 +53,7 @@ def peers() -> None:
 def studies() -> None:
     """Run both studies, draw, fill in the tables."""
     from machine import build
-    from steps import beside_the_published, manipulator
+    from steps import beside_the_published, length_table, manipulator
 
     from fmus.machine.build import data, harvester
 
@@ -75,16 +70,15 @@ def studies() -> None:
     picture("work-cycle", cycle)
     picture("m1", benchmark)
     fill(PAGE, "work cycle, speed", error_table(cycle, "speed").markdown())
-    for name, study in (("work cycle", cycle), ("M1", benchmark)):
-        if chosen := adaptive_table(study):
-            fill(PAGE, f"{name}, adaptive step size", chosen.markdown())
     fill(EXAMPLE / "README.md", "M1, pressure", error_table(benchmark, "pressure").markdown())
-    fill(EXAMPLE / "README.md", "M1, length", maximum_table(benchmark, "position").markdown())
+    fill(EXAMPLE / "README.md", "M1, length", length_table(benchmark).markdown())
 
 
 def picture(name: str, study: ConvergenceStudy) -> None:
     """Error over step."""
-    IMAGES.joinpath(f"convergence-{name}.png").write_bytes(png(draw(study), DPI))
+    IMAGES.joinpath(f"convergence-{name}.png").write_bytes(
+        png(draw(figure(study, next(iter(study.groups)))), DPI)
+    )
 
 
 def fill(document: Path, name: str, table: str) -> None:

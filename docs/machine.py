@@ -23,8 +23,8 @@ from fmus.machine.build import harvester
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import complete
 from orchestrator import linearize, load, run
-from orchestrator.pages.plotting import png
-from orchestrator.results.energy import draw, energy
+from orchestrator.pages.plotting import draw, png
+from orchestrator.results.energy import energy, figure
 
 PAGE = Path(__file__).with_suffix(".md")
 # part, variant, parameter, unit for the page
@@ -128,8 +128,8 @@ def picture(folder: Path) -> None:
         name: run(load(folder / "harvester.ssp"), swap=swap).trace
         for name, swap in (("lumped", {}), ("load_sensing", today))
     }
-    figure = draw({name: energy(trace, name) for name, trace in traces.items()})
-    (PAGE.parent / "images" / "energy.png").write_bytes(png(figure))
+    drawn = draw(figure({name: energy(trace, name) for name, trace in traces.items()}))
+    (PAGE.parent / "images" / "energy.png").write_bytes(png(drawn))
 
 
 def main() -> None:

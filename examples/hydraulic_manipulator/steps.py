@@ -14,15 +14,16 @@ from machine import RATES, build, solve
 from run import M1, REFERENCE
 
 from orchestrator import load, read_trace, run
-from orchestrator.data.recording import read_recording
+from orchestrator.base.text import TextTable
+from orchestrator.data.recording import Recording, read_recording
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.studies.convergence.convergence_report import maximum_table, report, write
+from orchestrator.studies.convergence.convergence_report import report, table, two_digits, write
 from orchestrator.studies.convergence.convergence_study import (
     SETTINGS,
     ConvergenceStudy,
-    Reference,
     Setting,
-    from_run,
+    SettingRun,
+    run_as_reference,
     run_settings,
 )
 
@@ -42,9 +43,11 @@ PUBLISHED = {
 }
 
 
-def ode_solution() -> Reference:
+def ode_solution() -> Recording:
     """The joined ODE at every millisecond."""
-    return from_run("the joined ODE", solve(read_trace(M1), np.linspace(0, 10, 10001)).select(SIGNALS))
+    return run_as_reference(
+        "the joined ODE", solve(read_trace(M1), np.linspace(0, 10, 10001)).select(SIGNALS)
+    )
 
 
 def manipulator(
@@ -57,6 +60,17 @@ def manipulator(
     solution = ode_solution()
     runs = run_settings(load(system), solution, settings, steps, repeats, RATE_INPUTS, scenario=M1)
     return ConvergenceStudy(solution, tuple(runs))
+
+
+def length_table(study: ConvergenceStudy) -> TextTable:
+    """The largest difference of the actuator's length at any instant [mm]."""
+
+    def cell(run: SettingRun) -> str:
+        assert run.errors  # of a stable run
+        return two_digits(f"{1e3 * run.errors['arm.s1'].metrics.maximum_error:.2g}")
+
+    title = f"position: largest difference [mm] from {study.reference.heading}"
+    return table(study, title, cell)
 
 
 def beside_the_published(systems: dict[str, Path], path: Path) -> Path:
@@ -74,7 +88,7 @@ def main() -> None:
     """Print the tables, write numbers and pictures."""
     systems = build(FOLDER)
     study = manipulator(systems["rates"])
-    print("\n".join(maximum_table(study, "position").lines()))
+    print("\n".join(length_table(study).lines()))
     print(report(study).text(), *write(study, FOLDER), sep="\n")
     print(beside_the_published(systems, FOLDER / "steps.png"))
 

@@ -34,7 +34,6 @@ from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.run import attempt
 from orchestrator.fmi.description import Value
 from orchestrator.pages.figures import PALETTE
-from orchestrator.pages.html_page import write_text
 from orchestrator.pages.plotting import legend, new_figure, png, style_axes
 from orchestrator.results.report import Report
 from orchestrator.ssp.load import load
@@ -355,7 +354,7 @@ def track(
     told = told or [f"largest error: {MM * worst.largest:.1f} mm, {worst.path}, {worst.machine}"]
     passed = False if failed else None if limit is None else True
     found = Report("Tracking", told[0], [], {"runs": [as_dict(r) for r in runs]}, passed)
-    write_text(json, found.json() + "\n")
+    write_whole(json, found.json() + "\n")
     report(f"{figure} {json}")
     for r in beyond:
         got = f"got {MM * r.largest:.1f} mm"

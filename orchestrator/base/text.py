@@ -158,6 +158,9 @@ def name_with_unit(name: str, unit: str) -> str:
     return f"{name} [{pretty(unit)}]" if pretty(unit) else name
 
 
+TEXTS = 3  # left-aligned columns of a table of texts
+
+
 @dataclass(frozen=True)
 class TextTable:
     """A table of texts for a terminal, a document or an HTML page.
@@ -194,7 +197,8 @@ class TextTable:
     def html(self) -> Markup:
         """The table in HTML; cells are escaped unless they are markup. A wide table can be scrolled.
 
-        A row of one cell is the heading of a group.
+        A row of one cell is the heading of a group. Where the window is narrow, each cell of a table of texts
+        has a line of its own, with the head of its column.
         """
         group = Markup('<tr class="group"><th colspan="{}" scope="rowgroup">{}</th></tr>')
         rows = [Markup("<tr>{}</tr>").format(Markup("").join(self._cells("th", self.head)))]
@@ -206,8 +210,12 @@ class TextTable:
         ]
         body = Markup("\n").join(rows)
         name = self.title or self.head[0] or "numbers"
-        opening = Markup('<div class="wide" tabindex="0" role="group" aria-label="{}, table">').format(name)
-        return opening + Markup("<table>\n{}\n</table></div>").format(body)
+        kind, heads = "wide", ""
+        if len(self.left) >= TEXTS:
+            quoted = (head.replace("\\", "").replace('"', "'") for head in self.head)
+            kind, heads = "wide stack", ";".join(f'--h{k}:"{head}"' for k, head in enumerate(quoted, 1))
+        opening = Markup('<div class="{}" style="{}" tabindex="0" role="group" aria-label="{}, table">')
+        return opening.format(kind, heads, name) + Markup("<table>\n{}\n</table></div>").format(body)
 
     def _cells(self, tag: str, row: Sequence[str]) -> Iterable[Markup]:
         for i, cell in enumerate(row):

@@ -13,8 +13,7 @@ from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, Time
 from orchestrator.engine.arguments import DEFAULT_ACCURACY, CoupledArguments
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+    from orchestrator.pages.figures import TraceFigure
     from orchestrator.results.comparison import Run
 
 
@@ -126,8 +125,6 @@ def plot(
     stop      End of the time window [s]; default: all.
     out       File of a picture (.png, .svg, .pdf); default: a page, build/plot.html, with zoom and values.
     """
-    from orchestrator.pages import html_page
-    from orchestrator.pages.plotting import draw
     from orchestrator.results.report import Figure, Report
 
     chosen, (first, *others) = _runs(files, out)
@@ -141,10 +138,10 @@ def plot(
     told = f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}"
     print(f"{told}{more}")
     if out is None:
-        html_page.write_text(BUILD / "plot.html", Report(title, told, [Figure(figure, title)]).html())
+        write_whole(BUILD / "plot.html", Report(title, told, [Figure(figure, title)]).html())
         print(f"page: {BUILD / 'plot.html'}")
     else:
-        print(f"picture: {_write(draw(figure), out)}")
+        print(f"picture: {_drawn(figure, out)}")
 
 
 @command
@@ -162,18 +159,21 @@ def energy(
     runs    Traces of runs of a machine (.csv, .parquet, .mat); default: the newest trace in build.
     start   Start of the time window [s], such as that of a cycle; default: all.
     stop    End of the time window [s]; default: all.
-    out     File of the picture (.png, .svg, .pdf); default: build/energy.png.
-    json    Print the energies [J] as JSON, without a picture.
+    out     File of a picture (.png, .svg, .pdf); default: a page, build/energy.html, and energy.json.
+    json    Print the energies [J] as JSON, without a page.
     """
-    from orchestrator.results.energy import draw, energy, report
+    from orchestrator.results.energy import energy, figure, report
 
     _, chosen = _runs(runs, out)
     found = {r.label: energy(r.trace.window(start, stop), r.file or r.label) for r in chosen}
     unreliable = [f"{r.label}: {told}" for r in chosen if r.metadata for told in r.metadata.unreliable]
     shown = report(found, unreliable)
     print(shown.json() if json else shown.text())
-    if not json:
-        print(f"\npicture: {_write(draw(found), out or BUILD / 'energy.png')}")
+    if out:
+        print(f"\npicture: {_drawn(figure(found), out)}")
+    elif not json:
+        page, numbers = shown.write(BUILD / "energy.html")
+        print(f"\npage: {page}\nnumbers: {numbers}")
 
 
 def _runs(files: list[Path] | None, out: Path | None) -> tuple[list[Path], list[Run]]:
@@ -189,12 +189,12 @@ def _runs(files: list[Path] | None, out: Path | None) -> tuple[list[Path], list[
     return chosen, read_runs(chosen)
 
 
-def _write(figure: Figure, picture: Path) -> Path:
-    """Write a picture in the format of its name."""
+def _drawn(figure: TraceFigure, picture: Path) -> Path:
+    """Draw a figure in the format of the name of its file."""
     from orchestrator.base.files import make_folder
-    from orchestrator.pages.plotting import pdf, png, svg
+    from orchestrator.pages.plotting import draw, pdf, png, svg
 
     make_folder(picture.parent)
-    drawn = {".svg": lambda: svg(figure, transparent=False).encode(), ".pdf": lambda: pdf(figure)}
-    write_whole(picture, drawn.get(picture.suffix.lower(), lambda: png(figure))())
-    return picture
+    made = draw(figure)
+    formats = {".svg": lambda: svg(made).encode(), ".pdf": lambda: pdf(made)}
+    return write_whole(picture, formats.get(picture.suffix.lower(), lambda: png(made))())

@@ -36,7 +36,7 @@ import numpy as np
 from markupsafe import Markup
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import FMI3, Location, shipped_with
+from orchestrator.base.files import FMI3, Location, shipped_with, write_whole
 from orchestrator.base.units import parse_unit
 from orchestrator.data.trace import Trace
 from orchestrator.drive import drawing, sticks
@@ -135,9 +135,7 @@ def write_page(path: Path, system: Path, title: str) -> Path:
     section = fragment(system, autostart=True)
     if not section:
         raise Problem(f"{system}: expected resources/view.toml with a scene, found none")
-    return html_page.write_text(
-        path, html_page.render(HERE / "machine_page.html.j2", title=title, section=section)
-    )
+    return write_whole(path, html_page.render(HERE / "machine_page.html.j2", title=title, section=section))
 
 
 # ---- scripts and style

@@ -61,13 +61,15 @@ def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> dict[
 
 
 def legend(chosen: Pattern, words: Mapping[str, Sequence[str]], mode: DriveMode) -> dict[str, str]:
-    """Labels of both ends of each axis: `left_up`, `left_down`, ..., `wheel1_left`, ... -> label."""
+    """Labels of both ends of each axis: `left_up`, `left_down`, ..., `wheel1_left`, ... -> label.
+
+    A function that the machine lacks has none.
+    """
     labels, ends_of = dict[str, str](), (("left", "right"), ("down", "up"))
     wheels = ((f"wheel{k}", (name,)) for k, name in enumerate(chosen.wheels, 1))
     for hand, driven in (("left", chosen.left), ("right", chosen.right), *wheels):
         for function, ends in zip(driven, ends_of, strict=False):
-            nothing = (f"(no {function})",) * 2
-            texts = {**words, **mode.words}[function] if mode.full.get(function) else nothing
+            texts = {**words, **mode.words}[function] if mode.full.get(function) else ("", "")
             labels |= {f"{hand}_{end}": text for end, text in zip(ends, texts, strict=True)}
     return labels
 

@@ -28,7 +28,7 @@ from orchestrator.engine.job import ENDS_EARLY, Job, Options, is_late
 from orchestrator.engine.result import BondEnergy, Interrupted, Result, RunFailed
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Ended, Group, Lanes, Status
-from orchestrator.ssp.system import Component, Port, System
+from orchestrator.ssp.system import Port, System
 
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
@@ -107,15 +107,15 @@ class Runs:
             self._copies = {source: folder / f"{n:06}.fmu" for n, source in enumerate(archives)}
             for source, copy in self._copies.items():
                 write_whole(copy, archives[source])
-            self.systems = [replace(s, components=self._copied(s)) for s in systems]
+            self.systems = [self.copied(s) for s in systems]
             stack.callback(self._pool.close)
             self._ends = stack.pop_all()
 
-    def _copied(self, system: System) -> dict[str, Component]:
+    def copied(self, system: System) -> System:
+        """A system of the same FMUs, with the copies."""
         components = system.components.items()
-        return {
-            n: replace(c, source=Location(self._copies[c.source])) if c.source else c for n, c in components
-        }
+        sources = {n: Location(self._copies[c.source]) if c.source else None for n, c in components}
+        return replace(system, components={n: replace(c, source=sources[n]) for n, c in components})
 
     def stop(self) -> None:
         """End all runs as soon as possible."""

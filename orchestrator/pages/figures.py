@@ -12,6 +12,7 @@ import base64
 import itertools
 import json
 import math
+import re
 import zlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -117,7 +118,8 @@ def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
 class TraceLine:
     """A curve: samples over time [s], or over the figure's axis, in the unit of the panel.
 
-    style   options of a matplotlib line: color, linewidth [pt], linestyle; marker, markerfacecolor
+    style   options of a matplotlib line: color, linewidth [pt], linestyle; marker, markerfacecolor, alpha;
+            fill: the curve is the outline of bars
     name    what distinguishes the curve in its panel, such as "head"; empty if there is only one
     key     entry of the figure's key that it belongs to, such as "simulation"
     error   half the length of each error bar, or down and up, shape (2, n), of a figure with an axis
@@ -134,6 +136,14 @@ class TraceLine:
     def label(self) -> str:
         """Name and key in words."""
         return ", ".join(filter(None, (self.name, self.key)))
+
+
+def bars(spans: Sequence[tuple[float, float, float]], half: float, colour: str, name: str = "") -> TraceLine:
+    """Horizontal bars from a begin to an end around a row: (row, begin, end) each, as one outline."""
+    x = np.concatenate([[low, high, high, low, low, np.nan] for _, low, high in spans])
+    sides = half * np.array([-1, -1, 1, 1, -1, np.nan])
+    y = np.concatenate([row + sides for row, *_ in spans])
+    return TraceLine(x, y, {"color": colour, "fill": True}, name)
 
 
 @dataclass(frozen=True)
@@ -193,6 +203,7 @@ class TraceFigure:
     key      (text, style) of what the line styles mean
     axis     label of the axis, if it is not the time: then each curve has its own places on it, and may be
              a cloud of marks
+    ticks    logarithm to the base 10, which is the place on the axis -> label; empty: a linear axis
     """
 
     panels: Sequence[TracePanel]
@@ -201,12 +212,13 @@ class TraceFigure:
     below: str = ""
     key: Sequence[tuple[str, Style]] = ()
     axis: str = ""
+    ticks: Mapping[float, str] = field(default_factory=dict)
 
     @property
     def span(self) -> tuple[float, float]:
         """First and last time [s]; around a single point in time there is a margin."""
         times = [line.time for panel in self.panels for line in panel.lines if len(line.time)]
-        start, stop = self.window or (float(min(map(np.min, times))), float(max(map(np.max, times))))
+        start, stop = self.window or (float(min(map(np.nanmin, times))), float(max(map(np.nanmax, times))))
         margin = 0.1 * abs(start) or 1.0
         if start >= stop:
             return start - margin, start + margin
@@ -267,14 +279,20 @@ def plot(figure: TraceFigure, name: str) -> Markup:
 
     name   what the figure shows, for readers who do not see it; the figure's title by default
 
-    The page must have `plot_scripts`, see `html_page.render`.
+    Bars have no such table: their numbers are in the text. The page must have `plot_scripts`, see
+    `html_page.render`.
     """
     name = figure.title or name
+    folded = Markup("<details><summary>Extremes of {}</summary>{}</details>")
+    bars = any("fill" in line.style for panel in figure.panels for line in panel.lines)
     return Markup(
         '<div class="plot" role="group" aria-label="{name}">'
-        '<script type="application/json">{spec}</script>'
-        "<details><summary>Extremes of {name}</summary>{table}</details></div>"
-    ).format(name=name, spec=script_data(_spec(figure)), table=_extremes(figure).html())
+        '<script type="application/json">{spec}</script>{table}</div>'
+    ).format(
+        name=name,
+        spec=script_data(_spec(figure)),
+        table="" if bars else folded.format(name, _extremes(figure).html()),
+    )
 
 
 def script_data(data: Any) -> Markup:
@@ -294,9 +312,10 @@ def _extremes(figure: TraceFigure) -> TextTable:
             label = " ".join(filter(None, (chart.panel.heading, chart.label if chart.strip else "")))
             cells = [label + (f": {line.label}" if line.label else ""), pretty(chart.unit) or "1"]
             for k in (int(values.argmin()), int(values.argmax())):
+                at = 10 ** time[k] if figure.ticks else time[k]
                 cells += [
                     typeset(number(float(values[k]), 4)),
-                    number(float(time[k]), 4) if figure.axis else f"{time[k]:.2f}",
+                    number(float(at), 4) if figure.axis else f"{at:.2f}",
                 ]
             rows.append(cells)
     at = f"at {figure.axis}" if figure.axis else "at [s]"
@@ -336,6 +355,7 @@ def _spec(figure: TraceFigure) -> dict[str, Any]:
         "window": list(figure.span),
         "below": figure.below,
         "axis": figure.axis,
+        **({"ticks": list(figure.ticks.items())} if figure.ticks else {}),
         **pack(columns),
     }
 
@@ -387,7 +407,7 @@ def _style_spec(style: Style) -> dict[str, Any]:
     spec |= {"alpha": style["alpha"]} if "alpha" in style else {}
     if "marker" in style:
         spec |= {"mark": style["marker"], "hollow": int(style.get("markerfacecolor") == "none")}
-    return spec | ({"area": 1} if "area" in style else {})
+    return spec | {name: 1 for name in ("area", "fill") if name in style}
 
 
 def _name(colour: str) -> str:
@@ -449,6 +469,7 @@ def plot_scripts() -> Markup:
         for name in ("uPlot.iife.min.js", "uPlot.min.css", "LICENSE")
     )
     script = (TEMPLATES / "plot.js").read_text(encoding="utf-8")
+    script = re.sub(r"^ +(//.*\n)?", "", script, flags=re.MULTILINE)  # without indentation and comments
     return Markup(
         f"<style>{style}</style>\n<script>\n/*\n{licence}*/\n{library}</script>\n<script>\n{script}</script>"
     )

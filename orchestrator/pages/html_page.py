@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -13,7 +12,6 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from orchestrator.base.files import write_whole
 from orchestrator.base.text import TextTable, jinja_environment, typeset
 from orchestrator.base.units import pretty
 from orchestrator.pages.figures import plot_scripts
@@ -29,18 +27,13 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     plots      whether the page has figures of `orchestrator.pages.figures.plot`
     content    variables of the template, besides `title` and `style`
 
-    Templates can use the macros of `parts.html.j2`, and the filters typeset, upper_first, sentence and
-    breakable.
+    Templates can use the filter `sentence`.
     """
     environment = jinja_environment(template.parent, TEMPLATES, escaped=True)
-    environment.filters.update(
-        typeset=typeset_code,
-        breakable=breakable,
-        upper_first=upper_first,
-        sentence=sentence,
-    )
+    environment.filters["sentence"] = sentence
     styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
-    style = Markup("\n".join(path.read_text(encoding="utf-8") for path in styles if path.is_file()))
+    texts = (path.read_text(encoding="utf-8") for path in styles if path.is_file())
+    style = Markup("\n".join(re.sub(r"^ +|/\*.*?\*/", "", text, flags=re.MULTILINE) for text in texts))
     scripts = plot_scripts() if plots else ""
     page = environment.get_template(template.name)
     return str(page.render(title=title, style=style, plots=scripts, **content))
@@ -77,17 +70,6 @@ def typeset_table(table: TextTable) -> TextTable:
         return typeset(re.sub(QUANTITY, lambda m: f"{m[1]} {pretty(m[2])}", text))
 
     return replace(table, rows=[[cell(text) for text in row] for row in table.rows])
-
-
-def write_text(path: Path, text: str) -> Path:
-    """Write a text file with the same bytes on every platform; its folder is made if needed."""
-    return write_whole(path, text)
-
-
-def write_json(path: Path, values: Any) -> Path:
-    """Write values as JSON, converted by `json_values`."""
-    text = json.dumps(json_values(values), indent=1, allow_nan=False, ensure_ascii=False)
-    return write_text(path, text + "\n")
 
 
 def json_values(values: Any) -> Any:

@@ -1,7 +1,7 @@
-"""Figures drawn by matplotlib: common style, panels of signals over time with their errors, PNG and SVG.
+"""Figures drawn by matplotlib, for files and notebooks: common style, panels of signals over time with their
+errors, PNG, SVG and PDF.
 
-Documents contain figures as PNG. HTML pages contain them as SVG, whose colours follow the theme of the page;
-signals over time are drawn there by scripts, see `orchestrator.pages.figures`.
+HTML pages contain figures that scripts draw, see `orchestrator.pages.figures`.
 """
 
 from __future__ import annotations
@@ -9,14 +9,11 @@ from __future__ import annotations
 import base64
 import io
 import itertools
-import math
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -24,7 +21,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
 from orchestrator.base.text import MINUS, typeset
 from orchestrator.base.units import pretty, reader_unit, superscript
@@ -72,26 +68,6 @@ def style_axes(axes: Axes, x: str = "", y: str = "", size: float = 9) -> None:
         axes.set_ylabel(y, color=PALETTE.ink, fontsize=size)
 
 
-def limit_ticks(axis: Axis, count: int = 5) -> None:
-    """At most `count` ticks; a common power of ten of the tick labels is part of the axis label."""
-    axis.set_major_locator(MaxNLocator(count))
-    low, high = axis.get_view_interval()
-    power = power_of_ten(low, high)
-    scale = 10.0**power
-    span = abs(high - low) / scale
-    digits = min(4, max(0, 1 - math.floor(math.log10(span)))) if span > 0 else 2
-
-    def tick_label(value: float, _: object) -> str:
-        label = f"{value / scale:.{digits}f}"
-        label = label.rstrip("0").rstrip(".") if "." in label else label
-        return "0" if label == "-0" else label.replace("-", MINUS)
-
-    axis.set_major_formatter(tick_label)
-    if power:
-        name, bracket, unit = axis.get_label_text().partition("[")
-        axis.set_label_text(f"{name.rstrip()} [10{superscript(str(power))}{f' {unit}' if bracket else ']'}")
-
-
 def power_ticks(axis: Axis) -> None:
     """Tick labels with a common power of ten; above the axes it would collide with a legend."""
     power = power_of_ten(*axis.get_view_interval())
@@ -135,7 +111,12 @@ def draw(shown: TraceFigure) -> Figure:
         if panel.errors:
             _draw_errors(next(remaining), panel)
     axes[-1].set_xlabel(shown.axis or "time [s]", color=PALETTE.ink)
-    power_ticks(axes[-1].xaxis)
+    if shown.ticks:
+        low, high = shown.span
+        inside = {place: label for place, label in shown.ticks.items() if low <= place <= high}
+        axes[-1].set_xticks([*inside], [*inside.values()])
+    else:
+        power_ticks(axes[-1].xaxis)
     if shown.window:
         axes[-1].set_xlim(*shown.window)
     heading(figure, shown.title, shown.below)
@@ -147,8 +128,8 @@ def draw(shown: TraceFigure) -> Figure:
 
 
 def _draw_panel(axes: Axes, panel: TracePanel) -> None:
-    unit = f"[{pretty(panel.unit) or '1'}]"
-    style_axes(axes, y=f"{panel.label}\n{unit}" if panel.label else unit)
+    unit = "" if panel.words else f"[{pretty(panel.unit) or '1'}]"
+    style_axes(axes, y=f"{panel.label}\n{unit}".strip())
     for area in panel.areas:
         axes.fill_between(area.time, area.low, area.high, color=area.colour, alpha=0.4, linewidth=0)
     named = set[str]()
@@ -159,7 +140,10 @@ def _draw_panel(axes: Axes, panel: TracePanel) -> None:
     axes.margins(y=0.12)
     if panel.log:
         axes.set_yscale("log")
-    power_ticks(axes.yaxis)
+    if panel.words:
+        axes.set_yticks([*panel.words], [*panel.words.values()])
+    else:
+        power_ticks(axes.yaxis)
     if panel.title:
         axes.set_title(panel.title, loc="left", fontsize=9, color=PALETTE.ink, pad=3)
     if any(line.name for line in panel.lines):
@@ -173,7 +157,10 @@ def _draw_panel(axes: Axes, panel: TracePanel) -> None:
 
 
 def _draw_line(axes: Axes, line: TraceLine, style: Style) -> None:
-    """A line, or marks; either may have error bars."""
+    """A line, marks or the outline of bars; the first two may have error bars."""
+    if "fill" in style:
+        axes.fill(line.time, line.values, color=style["color"], label=style["label"])
+        return
     if line.error is not None:
         style = {"capsize": 2.5, "elinewidth": 1.1, **style, "yerr": line.error}
     if "marker" in style:
@@ -202,22 +189,22 @@ def _draw_errors(axes: Axes, panel: TracePanel) -> None:
 
 
 def small_figure(time: Array, signals: Mapping[str, Array], units: Mapping[str, str]) -> str:
-    """Up to three signals of each of four quantities as a small SVG; empty without samples."""
+    """Up to three signals of each of four quantities as a small picture; empty without samples."""
     groups = itertools.groupby(default_signals(signals, units), lambda n: reader_unit(units.get(n, "")))
     chosen = [name for _, names in groups for name in itertools.islice(names, 3)]
     if not len(time) or not chosen:
         return ""
     figure = signal_figure({"": (time, {n: signals[n] for n in chosen})}, units)
     panels = [replace(panel, heights=(1.8, 0.0)) for panel in figure.panels]
-    drawn = embed(draw(replace(figure, panels=panels)), "small-", "signals")
-    return f'<div style="max-width: 60em; background: white">{drawn}</div>'
+    drawn = base64.b64encode(png(draw(replace(figure, panels=panels)), 90)).decode()
+    return f'<img alt="signals over time" style="max-width: 60em" src="data:image/png;base64,{drawn}">'
 
 
-def svg(figure: Figure, transparent: bool = True) -> str:
+def svg(figure: Figure) -> str:
     """The figure as reproducible SVG; texts are stored as text, not as paths."""
     buffer = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "harvester", "path.simplify_threshold": 0.2}):
-        figure.savefig(buffer, format="svg", transparent=transparent, metadata={"Date": None})
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
     return buffer.getvalue()
 
 
@@ -233,27 +220,3 @@ def pdf(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
     return buffer.getvalue()
-
-
-SVG_LIMIT = 700_000  # characters; `embed` uses PNG for a larger figure
-
-
-def embed(figure: Figure, prefix: str, title: str) -> Markup:
-    """The figure for HTML: SVG whose colours follow the theme of the page, or PNG if the SVG is too large.
-
-    prefix   prefix of all ids in the SVG, different for each figure of a page
-    """
-    text = svg(figure)
-    if len(text) > SVG_LIMIT:
-        data = Markup(base64.b64encode(png(figure)).decode())
-        return Markup('<img class="paper" alt="{}" src="data:image/png;base64,{}">').format(title, data)
-    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
-    text = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", text).replace("xlink:href", "href")
-    role = f'role="img" aria-label="{Markup.escape(title)}"'
-    text = re.sub(r'(<svg [^>]*?)width="[^"]*"', r'\1width="100%"', text, count=1)
-    text = re.sub(r'(<svg [^>]*?)height="[^"]*"', lambda m: m[1] + role, text, count=1)
-    text = re.sub(r'\bid="|href="#|url\(#', lambda m: m[0] + prefix, text)
-    text = re.sub(r'\bd="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), text)
-    for name, colour in PALETTE.variables().items():
-        text = text.replace(colour, f"var(--fig-{name}, {colour})")
-    return Markup(re.sub(r"\s*\n\s*", "\n", text))

@@ -16,18 +16,15 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain, cycle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import TextTable, number, percentage, short_names
 from orchestrator.data.trace import Trace
-from orchestrator.pages.figures import PALETTE
-from orchestrator.results.report import Part, Report, Table, Text
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from orchestrator.pages.figures import PALETTE, TraceFigure, TracePanel, bars
+from orchestrator.results.report import Figure, Part, Report, Section, Table, Text
 
 TAKEN, GIVEN, HEAT, ENGINE = "_hydraulic_power", "_mechanical_power", "_heat", "engine_power"
 SEEN = 1e-3  # of the longest bar
@@ -159,45 +156,41 @@ def report(energies: Mapping[str, Energy], unreliable: Sequence[str] = ()) -> Re
     kilojoules = {n: number(energies[n].engine / 1e3, 4) for n in to_load}
     told = [f"{n}: {kilojoules[n]} kJ, {percentage(share)} to the load" for n, share in to_load.items()]
     runs = {label: asdict(e) | {"remainder": e.remainder} for label, e in energies.items()}
-    parts: list[Part] = [Text(unreliable, "warn"), Table(table(energies))]
+    drawn = [Figure(figure(energies), "Energy")] if told else []
+    parts: list[Part] = [
+        Text(unreliable, "warn"),
+        *drawn,
+        Section("Numbers", [Table(table(energies))], only=""),
+    ]
     verdict = "; ".join(told) or "no energy came from the engine"
     return Report("Energy", verdict, parts, {"runs": runs, "unreliable": unreliable})
 
 
-def draw(energies: Mapping[str, Energy]) -> Figure:
+def figure(energies: Mapping[str, Energy]) -> TraceFigure:
     """Bars: what became of the engine's energy, and below of that of each function, run by run."""
-    from orchestrator.pages.plotting import WIDTH, heading, legend, new_figure, style_axes
-
     functions = list(dict.fromkeys(f for e in energies.values() for f in e.supplied))
     runs = energies.items()
-    above = {("engine", n): (e.engine, e.of_engine()) for n, e in runs}
-    below = {(f, n): (e.supplied[f], e.of(f)) for f in functions for n, e in runs if f in e.supplied}
-    figure = new_figure(WIDTH, 2.1 + 0.3 * (len(above) + len(below)))
-    panels = figure.subplots(2, 1, height_ratios=(len(above) + 0.3, len(below) + 0.3))
-    bars = {axes: _seen(of) for axes, of in zip(panels, (above, below), strict=True)}
-    named = [item for of in (bars[panels[1]], bars[panels[0]]) for _, items in of.values() for item in items]
-    causes = [c for c in dict.fromkeys(named) if c not in LAST and c not in functions]
+    of_engine = {("engine", n): (e.engine, e.of_engine()) for n, e in runs}
+    of_functions = {(f, n): (e.supplied[f], e.of(f)) for f in functions for n, e in runs if f in e.supplied}
+    shown = {"engine": _seen(of_engine), "functions": _seen(of_functions)}
+    named = [item for of in shown.values() for _, items in of.values() for item in items]
     light, dark = zip(*PALETTE.pairs, strict=True)
-    colours = dict(zip(causes, cycle((*PALETTE.series[:5], *light, *dark)), strict=False))
-    colours |= {"load": PALETTE.ink, "stored": PALETTE.faint}
-    for axes, of in bars.items():
-        style_axes(axes, x="energy [kJ]")
-        axes.grid(False, axis="y")
-        for row, (total, items) in enumerate(of.values()):
+    free = cycle((*PALETTE.series[:5], *light, *dark))
+    colours = {item: next(free) for item in dict.fromkeys(named) if item not in LAST}
+    colours |= {"load": PALETTE.ink, "stored": PALETTE.faint, "remainder": PALETTE.grid}
+    panels = []
+    for title, of in shown.items():
+        spans, words = dict[str, list[tuple[float, float, float]]](), dict[float, str]()
+        for row, ((name, run), (total, items)) in enumerate(of.items()):
+            words[-row] = f"{name if len(energies) == 1 else f'{name}, {run}'}: {number(total, 4)}"
             ends = [0.0, 0.0]  # of what is negative, and of what is positive
             for item, value in items.items():
-                style = {"color": colours.get(item, PALETTE.grid), "edgecolor": "white", "linewidth": 0.5}
-                axes.barh(row, value, 0.8, ends[value > 0], label=item, **style)
-                if item in functions:
-                    axes.text(ends[value > 0] + value / 2, row, item, ha="center", va="center", fontsize=7)
+                begin = ends[value > 0]
                 ends[value > 0] += value
-            axes.text(ends[1], row, f" {number(total, 4)}", va="center", fontsize=8, color=PALETTE.ink)
-        axes.set_yticks(range(len(of)), [name if len(runs) == 1 else f"{name}, {run}" for name, run in of])
-        axes.invert_yaxis()
-    drawn = {c: h for axes in panels for h, c in zip(*axes.get_legend_handles_labels(), strict=True)}
-    legend(figure, handles=[drawn[c] for c in colours if c in drawn], loc="outside lower left", ncols=7)
-    heading(figure, ", ".join(energies))
-    return figure
+                spans.setdefault(item, []).append((-row, begin, begin + value))
+        lines = [bars(of_item, 0.4, colours[item], item) for item, of_item in spans.items()]
+        panels.append(TracePanel("", lines, title, heights=(0.7 * len(of) + 0.6, 0.0), words=words))
+    return TraceFigure(panels, title=", ".join(energies), axis="energy [kJ]")
 
 
 def _seen(bars: Mapping[tuple[str, str], tuple[float, dict[str, float]]]) -> dict[Any, Any]:

@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 
 from markupsafe import Markup, escape
 
+from orchestrator.base.files import write_whole
 from orchestrator.base.text import DASH, TextTable, number, typeset
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import TraceFigure, plot
@@ -237,8 +238,8 @@ class Report:
 
     def write(self, page: Path) -> tuple[Path, Path]:
         """Write the page, and the JSON of the same name; returns both."""
-        html_page.write_text(page, self.html())
-        return page, html_page.write_text(page.with_suffix(".json"), self.json() + "\n")
+        write_whole(page, self.html())
+        return page, write_whole(page.with_suffix(".json"), self.json() + "\n")
 
 
 def _every(parts: Sequence[Part]) -> Iterator[Part]:

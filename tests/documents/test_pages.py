@@ -29,6 +29,13 @@ from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.validation import validate
 from orchestrator.results.validation_report import validation_report
 from orchestrator.studies.analysis.analyse import analyse
+from orchestrator.studies.convergence.convergence_report import report as converged_report
+from orchestrator.studies.convergence.convergence_study import (
+    ConvergenceStudy,
+    SettingRun,
+    as_reference,
+    choose,
+)
 from orchestrator.studies.report.study_page import study_report
 
 pytestmark = shards.browser
@@ -78,12 +85,26 @@ def identified() -> str:
     return identification(samples.page(figures=figures, warnings=("At a bound.",))).html()
 
 
+def converged() -> str:
+    """Two settings at three steps, whose errors are known; the coarsest one is unstable."""
+    known = run(0.0)
+    reference = as_reference(Recording(TIME, known.signals, known.units, Path("ref.csv")), quantities=())
+    errors = {step: validate(run(2e4 * step**2), reference) for step in (1e-3, 2e-3, 1e-2)}
+    runs = [
+        SettingRun(setting, step, found, round(4.0 / step), 4.0, (1e-5 / step,))
+        for setting in choose(["hermite", "jacobi order 0"])[-5:]
+        for step, found in errors.items()
+    ]
+    return converged_report(ConvergenceStudy(reference, tuple(runs))).html()
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "report": validated,
     "comparison": lambda: comparison(
         compare({"usual": run(0.0), "other": run(0.01), "third": run(0.02)})
     ).html(),
     "study": studied,
+    "convergence": converged,
     "diagnosis": diagnosed,
     "identification": identified,
 }
@@ -187,6 +208,20 @@ def test_a_page_fits_into_the_window(name: str, width: int, files: Any, opened: 
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+@pytest.mark.parametrize("name", ["diagnosis", "study"])
+def test_tables_of_texts_are_read_on_a_phone(name: str, files: Any, opened: Any) -> None:
+    """At 390 px each cell has a line with the head of its column, and nothing of it is scrolled sideways."""
+    page = opened(files(name), width=390)
+    page.evaluate("document.querySelectorAll('details').forEach(d => d.open = true)")
+    hidden = "[...document.querySelectorAll('.stack')].map(t => t.scrollWidth - t.clientWidth)"
+    assert max(page.evaluate(hidden)) <= 0
+    cells = "[...document.querySelectorAll('.stack td + td')].filter(t => t.textContent)"
+    head = "t.closest('table').rows[0].cells[t.cellIndex].textContent"
+    shown = page.evaluate(f"{cells}.map(t => [{head}, getComputedStyle(t, '::before').content])")
+    assert shown
+    assert [(head, content) for head, content in shown if head not in content] == []
+
+
 @pytest.mark.parametrize("width", [360, 420, 1100])
 def test_the_operators_page_fits_into_the_window(width: int, view: str, opened: Callable[..., Any]) -> None:
     """Sticks, their labels and the status line lie inside the window."""
@@ -196,6 +231,7 @@ def test_the_operators_page_fits_into_the_window(width: int, view: str, opened: 
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     outside = """() => [
       ...document.querySelectorAll('.hm-stick text, .hm-foot span, .hm-hands button, .hm-bar button')]
+      .filter(e => e.textContent) // a function that the machine lacks has no label
       .filter(e => e.getBoundingClientRect().left < 0 || e.getBoundingClientRect().right > innerWidth)
       .map(e => e.textContent)"""
     assert page.evaluate(outside) == []
@@ -310,7 +346,8 @@ def test_samples_survive_packing(files: Callable[[str], str], opened: Callable[.
     """The browser has the samples of the run, within a millionth of their range; gaps stay gaps."""
     page = opened(files("identification"))
     drawn(page)
-    data = page.evaluate("() => document.querySelector('.plot').plot.charts[0].plot.data")
+    own = "[...document.querySelectorAll('.plot')].find(h => !h.plot.spec.axis).plot"
+    data = page.evaluate(f"() => {own}.charts[0].plot.data")
     line = samples.traces().panels[0].lines[0]
     assert data[0] == pytest.approx(line.time, abs=2e-6 * 5)
     got = np.array([np.nan if v is None else v for v in data[1]])

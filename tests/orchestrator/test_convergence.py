@@ -12,22 +12,23 @@ from kit.mistakes import problem, refused, table
 from orchestrator import Trace, assemble, run, write_trace
 from orchestrator.__main__ import main
 from orchestrator.data.recording import read_recording
+from orchestrator.pages.plotting import draw
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.studies.convergence.convergence_report import (
+    OWN_STEPS,
     UNSTABLE,
-    adaptive_table,
-    draw,
     error_table,
     failures,
+    figure,
 )
 from orchestrator.studies.convergence.convergence_study import (
     SETTINGS,
     ConvergenceStudy,
+    as_reference,
     choose,
     finest_run,
-    from_recording,
-    from_run,
     rate_inputs,
+    run_as_reference,
     run_settings,
 )
 
@@ -40,7 +41,7 @@ def truth(exact):
     """Its exact solution at every millisecond of a second."""
     time = np.arange(1001) * 1e-3
     x = exact(time)
-    return from_run("exact", Trace(time, {"a.x": x[:, 0], "b.x": x[:, 1]}, {"a.x": "m", "b.x": "m"}))
+    return run_as_reference("exact", Trace(time, {"a.x": x[:, 0], "b.x": x[:, 1]}, {"a.x": "m", "b.x": "m"}))
 
 
 @pytest.fixture
@@ -89,7 +90,7 @@ def test_runs_that_leave_the_reference_are_unstable(moving, truth):
 def test_runs_that_fail_are_rows(fmus):
     """A step that fails ends its run only; the reason is kept."""
     system = assemble({"s": fmus["source"], "f": fmus["fails"]}, ["s.y -> f.u"], {"f.how": 3, "f.when": 0.5})
-    sine = from_run("sine", Trace(np.arange(101) * 0.01, {"s.y": np.sin(np.arange(101) * 0.01)}))
+    sine = run_as_reference("sine", Trace(np.arange(101) * 0.01, {"s.y": np.sin(np.arange(101) * 0.01)}))
     chosen = choose(["jacobi order 0", "gauss-seidel order 0"])
     rows = tuple(run_settings(system, sine, chosen, (0.01,), stop=1.0))
     assert [row.stable for row in rows] == [False, False]
@@ -103,7 +104,7 @@ def test_a_master_that_the_fmus_do_not_support_is_a_row(fmus):
     stuck = fmus.make("drift", "stuck", able={"canHandleVariableCommunicationStepSize": "false"})
     system = assemble({"s": fmus["source"], "d": stuck}, ["s.y -> d.u"])
     time = np.arange(101) * 0.01
-    ramp = from_run("ramp", Trace(time, {"d.y": 1 - np.cos(time)}))
+    ramp = run_as_reference("ramp", Trace(time, {"d.y": 1 - np.cos(time)}))
     chosen = choose(["jacobi order 0", "hermite adaptive"])
     first, *others = run_settings(system, ramp, chosen, (1e-2,), 1, stop=1.0)
     assert not first.refusal
@@ -113,30 +114,34 @@ def test_a_master_that_the_fmus_do_not_support_is_a_row(fmus):
     problem(lambda: run_settings(system, ramp, chosen[1:], (1e-2,), 1, stop=1.0), others[0].refusal)
 
 
-def test_adaptive_settings_have_a_table_of_their_own(moving, truth):
-    """A row for each tolerance with its number of steps; the tables over steps leave them out."""
+def test_adaptive_settings_have_a_column_of_their_own(moving, truth):
+    """A row for each tolerance with its error and mean step; without them there is no such column."""
     chosen = choose(["hermite adaptive", "jacobi order 0"])
     found = ConvergenceStudy(truth, tuple(run_settings(moving, truth, chosen, (5e-3,), 1, stop=1.0)))
-    assert len(error_table(found, "position").rows) == 1
-    table = adaptive_table(found)
-    assert [line[0] for line in table.rows] == [f"hermite adaptive 1e-0{n}" for n in range(2, 6)]
+    table = error_table(found, "position")
+    assert table.head[-1] == OWN_STEPS
+    assert [line[0] for line in table.rows[1:]] == [f"hermite adaptive 1e-0{n}" for n in range(2, 6)]
     runs = [row for row in found.runs if row.setting.adaptive]
-    assert [int(line[1]) for line in table.rows] == [row.steps for row in runs]
+    for line, row in zip(table.rows[1:], runs, strict=True):
+        assert line[1:-1] == ("",)
+        assert line[-1].endswith(f" at {1e3 * row.simulated / row.steps:.3g} ms")
+    assert table.rows[0][1] != ""
     assert [row.error("position") for row in runs] == sorted(
         (r.error("position") for r in runs), reverse=True
     )
-    assert adaptive_table(ConvergenceStudy(truth, tuple(r for r in found.runs if r not in runs))) is None
+    others = ConvergenceStudy(truth, tuple(r for r in found.runs if r not in runs))
+    assert error_table(others, "position").head == ["master", "5 ms"]
 
 
 def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving):
     """Steps of 3 ms meet samples every 20 ms at each 60 ms; the error is that of these instants alone."""
-    reference = from_recording(read_recording(folder / "exact.csv"))
+    reference = as_reference(read_recording(folder / "exact.csv"))
     (row,) = run_settings(moving, reference, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
     trace = run(moving, master="jacobi", step=3e-3, stop=0.6).trace
-    every = reference.recording[reference.groups["position"][0]]
+    every = reference["a.x"]
     apart = trace["a.x"][::20] - every[::3]
     share = np.sqrt(np.mean(apart**2)) / np.ptp(every)
-    found = row.errors["position"]["a.x"].nrmse
+    found = row.errors["a.x"].metrics.nrmse
     assert found == pytest.approx(share, rel=1e-9)  # same numbers but for their digits in the file
 
 
@@ -145,12 +150,12 @@ def test_the_worst_signal_counts(moving, truth):
     (row,) = run_settings(moving, truth, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
     trace = run(moving, master="jacobi", step=1e-2, stop=1.0).trace
     shares = []
-    for name, values in truth.recording.items():
+    for name, values in truth.items():
         apart = trace[name] - values[::10]
         shares.append(np.sqrt(np.mean(apart**2)) / np.ptp(values))
     assert row.error("position") == pytest.approx(max(shares), rel=1e-12)  # rounding
-    signals = {name: 1e3 * values for name, values in truth.recording.items()}
-    small = from_run("exact", Trace(truth.recording.time, signals, dict.fromkeys(signals, "mm")))
+    signals = {name: 1e3 * values for name, values in truth.items()}
+    small = run_as_reference("exact", Trace(truth.time, signals, dict.fromkeys(signals, "mm")))
     (same,) = run_settings(moving, small, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
     assert same.error("position") == pytest.approx(row.error("position"), rel=1e-9)  # rounding
 
@@ -159,9 +164,9 @@ def test_signals_at_rest_are_left_out():
     """What moves a millionth of what others of its unit do has no range to compare with."""
     time = np.linspace(0, 1, 11)
     signals = {"a.x": np.sin(time), "a.y": 1e-7 * np.sin(time)}
-    found = from_run("run", Trace(time, signals, dict.fromkeys(signals, "m")))
-    assert found.names == ["a.x"]
-    assert found.notes == ("not compared, at rest: a.y",)
+    found = run_as_reference("run", Trace(time, signals, dict.fromkeys(signals, "m")))
+    assert [*found] == ["a.x"]
+    assert found.metadata["not compared, at rest"] == "a.y"
 
 
 def test_plain_settings_leave_out_rate_connections(fmus):
@@ -171,10 +176,10 @@ def test_plain_settings_leave_out_rate_connections(fmus):
     system = assemble(files, ["s.y -> d.u", "r.y -> d.u_rate"])
     assert rate_inputs(system) == ("d.u_rate",)
     time = np.arange(101) * 0.01
-    ramp = from_run("sum", Trace(time, {"d.y": 1 - np.cos(time)}))
+    ramp = run_as_reference("sum", Trace(time, {"d.y": 1 - np.cos(time)}))
     chosen = choose(["jacobi plain", "jacobi order 0"])
     plain, wired = run_settings(system, ramp, chosen, (0.01,), 1, stop=1.0)
-    lost = {row.setting.label: row.errors["without unit"]["d.y"].maximum_error for row in (plain, wired)}
+    lost = {row.setting.label: row.errors["d.y"].metrics.maximum_error for row in (plain, wired)}
     # held inputs lose h/2 sin t, and the rate, which is a sine too, adds h/2 (1 - cos t); the rest is h^2
     assert lost["jacobi plain"] == pytest.approx(0.5e-2 * np.sin(1), rel=2e-2)
     assert lost["jacobi order 0"] == pytest.approx(0.5e-2 * (np.sqrt(2) - 1), rel=2e-2)
@@ -182,7 +187,7 @@ def test_plain_settings_leave_out_rate_connections(fmus):
 
 @pytest.mark.usefixtures("folder")
 def test_the_command_prints_and_writes(capsys):
-    """It prints tables; the CSV has a row for each run, the JSON all signals; there are two figures."""
+    """It prints tables; the CSV has a row for each run, the JSON all signals; the page has two figures."""
     options = ["--reference", "exact.csv", "--steps", "0.01,0.005", "--masters", "jacobi", "--repeats", "2"]
     assert main(["convergence", "two.ssp", *options]) == 0
     printed = capsys.readouterr().out
@@ -195,10 +200,10 @@ def test_the_command_prints_and_writes(capsys):
     found = numbers()
     assert found["groups"] == {"position": ["a.x", "b.x"]}
     assert len(found["runs"][0]["walls [s]"]) == 2
-    order = found["runs"][1]["errors"]["position"]["order of convergence"]
+    order = found["runs"][1]["position order of convergence"]
     assert order == pytest.approx(1, abs=0.3)  # 0.33 rad of the fast oscillation per step
-    for name in ("convergence.png", "work_precision.png"):
-        assert Path("build/convergence", name).read_bytes().startswith(b"\x89PNG")
+    page = Path("build/convergence/convergence.html").read_text(encoding="utf-8")
+    assert page.count('<div class="plot"') == 2
 
 
 @pytest.mark.usefixtures("folder")
@@ -207,9 +212,9 @@ def test_without_a_reference_the_finest_hermite_run_takes_its_place(capsys):
     options = ["two.ssp", "--steps", "0.01", "--masters", "jacobi order 0", "--signals", "*.x"]
     assert main(["convergence", *options]) == 0
     assert "no reference for this run: hermite at 5 ms, half the smallest step" in capsys.readouterr().out
-    own = numbers()["runs"][0]["errors"]["*.x"]["signals"]["a.x"]["nrmse"]
+    own = numbers()["runs"][0]["errors"]["a.x"]["nrmse"]
     assert main(["convergence", *options, "--reference", "exact.csv"]) == 0
-    known = numbers()["runs"][0]["errors"]["*.x"]["signals"]["a.x"]["nrmse"]
+    known = numbers()["runs"][0]["errors"]["a.x"]["nrmse"]
     # hermite at 5 ms is off by less than 1e-4 of the range, jacobi by 0.1; the instants differ
     assert own == pytest.approx(known, rel=0.1)
     assert main(["convergence", *options, "--stop", "0.3", "--set", "a.mass=2"]) == 0
@@ -237,9 +242,10 @@ def test_figures_label_every_curve(moving):
     solution = finest_run(moving, ["b.x", "b.v"], (5e-2,), stop=1.0)
     rows = run_settings(moving, solution, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, stop=1.0)
     found = ConvergenceStudy(solution, tuple(rows))
-    for group in solution.groups:
-        for figure in (draw(found, group), draw(found, group, over_cost=True)):
-            named = " ".join(text.get_text() for text in figure.legends[0].get_texts())
-            assert all(f"order {n}" in named for n in range(3))
-            assert "to tolerance" in named
-        assert [line for line in draw(found, group).axes[0].lines if line.get_marker() == "x"]
+    for over_cost in (False, True):
+        for panel in figure(found, over_cost=over_cost).panels:
+            named = {line.key for line in panel.lines}
+            assert {f"jacobi order {n}" for n in range(3)} | {"hermite to tolerance"} <= named
+            assert (UNSTABLE in named) is not over_cost
+    axes = draw(figure(found)).axes
+    assert [text.get_text() for text in axes[-1].get_xticklabels()][:2] == ["5", "10"]

@@ -9,7 +9,7 @@ from kit.mistakes import entry, refused
 from orchestrator import Trace, run
 from orchestrator.__main__ import main
 from orchestrator.data.trace_writer import write_trace
-from orchestrator.results.energy import draw, energy, table
+from orchestrator.results.energy import energy, figure, table
 
 TIME = np.linspace(0.0, 2.0, 21)
 POWERS = entry(__file__, "powers")
@@ -58,7 +58,10 @@ def test_runs_stand_side_by_side(tmp_path, monkeypatch, capsys):
     assert rows["lift_2", "supplied"] == ["60.00", "27.3", "-", "-", "-60.00"]
     assert rows["remainder",][0] == "14"
     assert printed.index("saw_pump") < printed.index("lift") < printed.index("total")
-    assert (tmp_path / "build" / "energy.png").read_bytes().startswith(b"\x89PNG")
+    assert '<div class="plot"' in (tmp_path / "build" / "energy.html").read_text(encoding="utf-8")
+    assert main(["energy", "a.csv", "--out", "e.png"]) == 0
+    assert (tmp_path / "e.png").read_bytes().startswith(b"\x89PNG")
+    capsys.readouterr()
     assert main(["energy", "a.csv", "--stop", "1", "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert list(data) == ["title", "verdict", "passed", "runs", "unreliable"]
@@ -68,15 +71,19 @@ def test_runs_stand_side_by_side(tmp_path, monkeypatch, capsys):
     assert found["remainder"] == pytest.approx(energy(crane().window(0, 1), "-").remainder)
 
 
-def bars(axes):
+def bars(panel):
     """Label and row of each bar -> its begin and its length."""
-    found = ((bar.get_label(), b) for bar in axes.containers for b in bar.patches)
-    return {(label, round(b.get_y() + 0.4)): (b.get_x(), b.get_width()) for label, b in found}
+    outlines = [(line.name, line.time.reshape(-1, 6), line.values.reshape(-1, 6)) for line in panel.lines]
+    found = [(name, x, y) for name, *both in outlines for x, y in zip(*both, strict=True)]
+    return {(name, round(0.4 - y[2])): (x[0], x[1] - x[0]) for name, x, y in found}
 
 
 def test_bars_are_as_long_as_what_they_show():
     """Of the engine and of each function, in kJ; negative parts are to the left of zero."""
-    of_engine, of_functions = map(bars, draw({"a": energy(crane(), "-")}).axes)
+    drawn = figure({"a": energy(crane(), "-")})
+    # rounding only: from the negative load to all that the engine gave (30 + 8 + 100 + 60), 2 % at each end
+    assert drawn.span == pytest.approx((-10 - 0.02 * 208, 198 + 0.02 * 208), rel=1e-9)
+    of_engine, of_functions = map(bars, drawn.panels)
     assert of_engine["leakage", 0] == pytest.approx((0, 30))
     assert of_engine["lift_2", 0] == pytest.approx((138, 60))
     assert of_functions["hose", 0] == pytest.approx((50, 20))

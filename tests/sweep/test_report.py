@@ -11,8 +11,9 @@ from sweep.pages import CASES, TWO, UNIT, shown, written
 from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, results
 
 from orchestrator.base.text import display_unit
+from orchestrator.pages.plotting import draw
 from orchestrator.studies.analysis.analysis_text import sentences
-from orchestrator.studies.report.study_figures import bands, medians, tornado
+from orchestrator.studies.report.study_figures import bands, histogram, medians, tornado
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -91,12 +92,13 @@ def test_a_browser_shows_the_page_without_any_request(tmp_path: Path, chromium: 
     page.on("pageerror", lambda error: asked.append(str(error)))
     page.goto(file.as_uri())
     width = page.evaluate("document.documentElement.scrollWidth")
-    figures = page.evaluate("[...document.querySelectorAll('figure > svg')].map(s => s.clientHeight)")
+    page.wait_for_selector(".figures .plot.drawn >> nth=3")
+    figures = page.evaluate("[...document.querySelectorAll('.figures canvas')].map(s => s.clientHeight)")
     page.close()
     assert [url for url in asked if not url.startswith("data:")] == [file.as_uri()]
     assert width <= 700
-    assert len(figures) == 3  # sensitivities, dots, distribution
-    assert min(figures) > 100
+    assert len(figures) == 4  # sensitivities, distribution, dots over two factors
+    assert min(figures) > 80
 
 
 @pytest.mark.parametrize("choice", [None, TWO])
@@ -127,9 +129,24 @@ def test_shares_end_within_the_axis(runs, choices):
     found = finding(study)
     estimate = effects(found)["x1"].estimates[found.sensitivity.measure]
     assert estimate.ceiling > 1.03  # beyond the axis, if it were drawn as it is
-    axes = tornado(found, found.sensitivity).axes[0]
-    drawn = np.concatenate([np.asarray(line.get_xdata(), float) for line in axes.lines])
-    widths = [bar.get_width() for bar in axes.patches]
-    assert 0.0 <= drawn.min() < drawn.max() == 100.0
-    assert 0.0 <= min(widths) <= max(widths) <= 100.0
-    assert 100.0 < axes.get_xlim()[1] <= 103.0
+    figure = tornado(found, found.sensitivity)
+    for line in figure.panels[0].lines:
+        assert 0.0 <= np.nanmin(line.time) <= np.nanmax(line.time) <= 100.0
+    assert figure.window == (0.0, 100.0)
+    assert figure.panels[0].words[0.0] == "x1"  # on top, which is the largest row
+
+
+def test_a_histogram_counts_every_run_once() -> None:
+    """Stacked options: the outline of all is drawn first, and its steps are the counts of all runs."""
+    found = results(ishigami, ISHIGAMI, "saltelli", 32, [TWO], failed=every(25))
+    counted = finding(found)
+    figure = histogram(found, found.study.outputs[0], counted, TWO)
+    first, second, lines = figure.panels[0].lines
+    assert len(draw(figure).axes[0].patches) == 2  # also for a file
+    done = (found.table["status"] == "ok").to_numpy()
+    # exact identity: counts
+    assert first.values[1:-1:2].sum() == done.sum()
+    assert second.values[1:-1:2].sum() == (done & (found.table[TWO.column] == TWO.options[0])).sum()
+    spread = counted.spread
+    quantiles = [spread.low, spread.median, spread.high]
+    assert lines.time[::3] == pytest.approx(np.array(quantiles) / 1e5, rel=1e-12)  # rounding

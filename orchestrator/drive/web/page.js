@@ -497,7 +497,8 @@ export class Page {
     write(this.at("mode"), this.shared ? source.data.title : `${TITLES[this.mode]}${this.running ? "" : ", paused"}`);
     write(this.at("clock"), `${source.time.toFixed(1)} s`);
     const goes = ["running", "starting"].includes(this.shared ? source.state : state);
-    write(this.at("pause"), goes ? "Pause" : this.began || this.shared ? "Go on" : "Start");
+    write(this.at("pause"), goes ? "Pause" : "Go on");
+    this.at("pause").hidden = !this.began && !this.shared; // the picture has a button to start
     if (!this.shared) this.at("save").disabled = this.mode === "replay" || !source.simulation.frames;
     if (this.shared && document.activeElement !== this.at("speed")) this.at("speed").value = String(source.info.factor ?? 1);
     if (source.span && !this.at("seek").matches(":active")) this.at("seek").value = (source.time - source.span[0]) / (source.span[1] - source.span[0]);

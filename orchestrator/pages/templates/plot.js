@@ -81,7 +81,7 @@
     const path = button.querySelector("path");
     if (line.mark) path.setAttribute("d", "M10 4a3 3 0 1 0 6 0a3 3 0 1 0-6 0");
     path.style.stroke = line.colour.startsWith("#") ? line.colour : `var(--fig-${line.colour})`;
-    path.setAttribute("stroke-width", line.mark ? 1.5 : Math.min(line.area ? 8 : line.width, 6));
+    path.setAttribute("stroke-width", line.mark ? 1.5 : Math.min(line.area || line.fill ? 8 : line.width, 6));
     if (line.dash && !line.mark) path.setAttribute("stroke-dasharray", line.dash.join(" "));
   }
 
@@ -90,6 +90,8 @@
       [this.spec, this.columns, this.charts, this.off, this.whole] = [spec, columns, [], new Set(), spec.window];
       this.range = [...this.whole];
       this.name = host.getAttribute("aria-label");
+      const words = spec.charts.flatMap((chart) => (chart.words ?? []).flatMap(([, word]) => word.split("\n")));
+      this.beside = Math.max(AXIS, ...words.map((word) => 16 + 6.2 * word.length)); // px for the longest line
       this.live = element("div", host, { class: "live" });
       host.insertBefore(this.live, host.firstChild);
       this.toolbar(this.name);
@@ -103,6 +105,7 @@
 
     toolbar(name) {
       const bar = element("div", this.live, { class: "tools", role: "toolbar", "aria-label": `${name}: zoom and curves` });
+      bar.hidden = this.spec.charts.some(({ lines }) => lines.some((line) => line.fill)); // bars need no zoom
       const button = (sign, text, act) => {
         const made = element("button", bar, { type: "button", "aria-label": text, title: text }, sign);
         made.addEventListener("click", act);
@@ -148,7 +151,7 @@
       const head = element("div", this.live, { class: chart.strip ? "head strip" : "head" });
       if (!chart.strip) this.panel = this.charts.length;
       element("b", head, {}, chart.label);
-      if (!chart.words) element("span", head, { class: "soft" }, `[${chart.unit || "1"}]`);
+      if (!chart.words && (chart.unit || !this.spec.axis)) element("span", head, { class: "soft" }, `[${chart.unit || "1"}]`);
       const lines = chart.lines.map((line) => ({ ...line, panel: this.panel }));
       const named = chart.strip ? [] : lines.filter((one, k) => one.name && lines.findIndex((l) => l.name === one.name) === k);
       for (const line of named) this.toggle(head, line.name, line, `${line.panel} ${line.name}`);
@@ -187,8 +190,8 @@
         series: [{}, ...(this.spec.axis ? [{}] : lines.map(line))],
         bands: areas.map((k) => ({ series: [k + 2, k + 1], fill: () => `color-mix(in srgb, ${colour(lines[k].colour)} 40%, transparent)` })),
         axes: [
-          { ...axis, size: last ? LAST : 0, splits: (plot, _, low, high) => splits(low, high, Math.max(2, Math.floor(plot.width / 90))), values: (_, at) => (last ? tick(at) : at.map(() => "")), label: last ? this.spec.axis || "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
-          { ...axis, size: AXIS, ...(chart.words ? worded(new Map(chart.words)) : { splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => (chart.log ? at.map((power) => typeset(10 ** power, 2)) : tick(at)) }) },
+          { ...axis, size: last ? LAST : 0, ...this.places(last), label: last ? this.spec.axis || "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
+          { ...axis, size: this.beside, ...(chart.words ? worded(new Map(chart.words)) : { splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => (chart.log ? at.map((power) => typeset(10 ** power, 2)) : tick(at)) }) },
         ],
         hooks: {
           drawAxes: [(plot) => this.bounds(plot, chart)],
@@ -196,6 +199,15 @@
           setSelect: [(plot) => this.selected(plot)],
           setCursor: [(plot) => plot.cursor.event && this.read(plot.cursor.idx === null ? null : plot.posToVal(plot.cursor.left, "x"))],
         },
+      };
+    }
+
+    // ticks of the common axis, whose labels are below the last chart
+    places(last) {
+      const ticks = this.spec.ticks && new Map(this.spec.ticks);
+      return {
+        splits: (plot, _, low, high) => (ticks ? [...ticks.keys()].filter((at) => at >= low && at <= high) : splits(low, high, Math.max(2, Math.floor(plot.width / 90)))),
+        values: (_, at) => (last ? (ticks ? at.map((one) => ticks.get(one)) : tick(at)) : at.map(() => "")),
       };
     }
 
@@ -229,6 +241,7 @@
       for (const line of lines.filter((one) => this.shows(one))) {
         const [xs, ys] = [at(line.x, "x"), at(line.column, "y")];
         ctx.strokeStyle = ctx.fillStyle = colour(line.colour);
+        ctx.globalAlpha = line.alpha ?? 1;
         ctx.lineWidth = Math.min(line.width, line.mark ? 1.4 : 6) * pixel;
         ctx.setLineDash((line.dash ?? []).map((length) => (line.mark ? 0 : length * pixel)).filter(Boolean));
         ctx.beginPath();
@@ -237,7 +250,7 @@
         const drawn = points.filter(([, y]) => y !== null);
         if (line.mark) for (const [x, y] of drawn) SHAPES[line.mark].forEach((outline) => path(outline.map(([a, b]) => [x + 3 * a * pixel, y + 3 * b * pixel])));
         else path(points);
-        if (line.mark && !line.hollow) ctx.fill();
+        if (line.fill || (line.mark && !line.hollow)) ctx.fill();
         const [lows, highs] = line.low === undefined ? [[], []] : [at(line.low, "y"), at(line.high, "y")];
         lows.forEach((low, k) => ys[k] !== null && path([[xs[k], low ?? top + height], [xs[k], highs[k] ?? ys[k]]]));
         ctx.stroke();
@@ -277,7 +290,7 @@
 
     read(time) {
       const [low, high] = this.range;
-      this.clock.textContent = time === null ? `${typeset(low, 4)} to ${typeset(high, 4)}${this.spec.axis ? "" : " s"}` : `t = ${time.toFixed(3)} s`;
+      this.clock.textContent = this.spec.ticks ? "" : time === null ? `${typeset(low, 4)} to ${typeset(high, 4)}${this.spec.axis ? "" : " s"}` : `t = ${time.toFixed(3)} s`;
       if (time !== null) this.slider.value = (1000 * (time - low)) / this.length;
       this.slider.setAttribute("aria-valuetext", this.clock.textContent);
       for (const { plot, lines, values } of this.spec.axis ? [] : this.charts) {

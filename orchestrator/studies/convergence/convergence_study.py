@@ -7,10 +7,10 @@ a good master.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import partial
 from math import isfinite, log
 from pathlib import Path
 from statistics import median
@@ -25,16 +25,20 @@ from orchestrator.base.options import checked, seconds, taken
 from orchestrator.base.progress import doing
 from orchestrator.base.signals import matching, span
 from orchestrator.base.text import grouped
-from orchestrator.base.units import convert, quantity
+from orchestrator.base.units import quantity
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME, Trace, rounding
 from orchestrator.engine.arguments import CaseArguments, RunArguments
-from orchestrator.engine.result import Result, widest_of_unit
-from orchestrator.engine.run import attempt, run
+from orchestrator.engine.job import Job
+from orchestrator.engine.result import widest_of_unit
+from orchestrator.engine.run import run
 from orchestrator.engine.scenario import ScenarioSource, read_scenario
-from orchestrator.results.metrics import AT_REST, HUGE, Metrics, measure
+from orchestrator.lanes.group import Status
+from orchestrator.lanes.many import Runs, in_threads
+from orchestrator.results.metrics import AT_REST
 from orchestrator.results.validate_system import another_model
+from orchestrator.results.validation import ValidatedSignal, Validation, validate
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.load import configured
 from orchestrator.ssp.masters import MASTERS
@@ -48,6 +52,7 @@ FEWEST_INSTANTS = 10  # in common, for a root mean square
 DEFAULT_QUANTITIES = ("speed", "pressure")  # compared if the user names no signals
 FINEST = Coupling("hermite", passes=20, tolerance=1e-9)
 OTHER_RUN = ("parameters", "set", "swap")  # options with which the default reference does not fit
+RESTING = "not compared, at rest"  # key of the metadata of a reference
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
 EXTRAPOLATING = tuple(master.name for master in MASTERS.values() if not master.guarded)
 
@@ -123,99 +128,42 @@ def rate_inputs(system: System) -> tuple[str, ...]:
 # ---- what they are compared with
 
 
-@dataclass(frozen=True)
-class Reference:
-    """The solution that runs are compared with.
-
-    recording   its signals, without gaps; its criteria have the range of each signal
-    groups      group -> its signals, which share a table
-    """
-
-    recording: Recording
-    groups: Mapping[str, Sequence[str]]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def title(self) -> str:
-        """The title of the recording."""
-        return self.recording.heading
-
-    @property
-    def names(self) -> list[str]:
-        """All signals."""
-        return list(dict.fromkeys(name for names in self.groups.values() for name in names))
-
-    def check(self, system: System, start: float, stop: float | None, steps: Iterable[float]) -> None:
-        """Raise Problem if the system lacks a signal, or a step has too few instants in common."""
-        for name in self.names:
-            if name not in system.outputs and name not in system.names():
-                raise UnknownSignal(name, [*system.outputs, *system.names()], f"{self.title}: ")
-        time = self.recording.time
-        last = time[-1] if stop is None else min(stop, time[-1])
-        for step in steps:
-            points: Array = start + step * np.arange(int((last - start) / step + SAME_TIME) + 1.0)
-            if (count := len(_common_instants(points, time, step)[0])) < FEWEST_INSTANTS:
-                expected = f"{FEWEST_INSTANTS} or more instants in common with {self.title}"
-                raise Problem(f"step {step:g} s: expected {expected}, got {count}")
-
-    def adaptive_record_step(self, start: float) -> float:
-        """Record step [s] of a run with adaptive step size: steps have to end at these instants."""
-        time = self.recording.time
-        intervals, duration = len(time) - 1, time[-1] - time[0]
-        offset = (start - time[0]) * intervals / duration
-        equal = np.ptp(np.diff(time)) < SAME_TIME * duration
-        if not equal or abs(offset - round(offset)) > SAME_TIME:
-            raise Problem(f"{self.title}: expected equally spaced samples from {start:g} s on")
-        return float(duration * max(intervals // MOST_INSTANTS, 1) / intervals)
-
-    def errors(self, trace: Trace, step: float) -> dict[str, dict[str, Metrics]]:
-        """Group -> signal -> its errors in the unit of the reference, the largest NRMSE first."""
-        time = self.recording.time
-        in_run, here = _common_instants(trace.time, time, step)
-
-        def error(name: str) -> Metrics:
-            unit, size = self.recording.units[name], self.recording.criterion(name).span
-            # an unstable run may grow beyond all bounds
-            values = np.clip(trace[name][in_run], -HUGE / 2, HUGE / 2)
-            values = convert(values, trace.units.get(name, unit), unit, name)
-            expected = self.recording[name][here]
-            return measure(time[here], values, expected, span=size, where=name)
-
-        errors = {name: error(name) for name in self.names}
-        return {
-            group: {n: errors[n] for n in sorted(names, key=lambda n: -(errors[n].nrmse or 0.0))}
-            for group, names in self.groups.items()
-        }
-
-
-def _common_instants(run: Array, reference: Array, step: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of the common instants, in the run and in the reference."""
-    margin = rounding(reference, step)
-    nearest = np.minimum(np.searchsorted(run, reference - margin), len(run) - 1)
-    common = np.flatnonzero(np.abs(run[nearest] - reference) <= margin)
-    return nearest[common], common
-
-
-def from_recording(
+def as_reference(
     recording: Recording, patterns: Sequence[str] = (), quantities: Sequence[str] = DEFAULT_QUANTITIES
-) -> Reference:
-    """The signals of a recording that match a pattern; default: those of these quantities, else all."""
+) -> Recording:
+    """The signals of a recording that match a pattern; default: those of these quantities, else all.
+
+    The criterion of each has its group, whose signals share a table, and its range. Signals at rest are left
+    out: they have no range, alone or next to others of their unit.
+    """
     for name, values in recording.items():
         if np.isnan(values).any():
             raise Problem(f"{recording.source}: {name}: expected a value at each time, got a gap")
-    if patterns:
-        return _without_rest(recording, {p: _matching(p, recording) for p in patterns})
     groups = grouped(recording, lambda n: recording.criterion(n).group or quantity(recording.units[n]))
-    return _without_rest(recording, {g: groups[g] for g in quantities if g in groups} or groups)
+    chosen = {g: groups[g] for g in quantities if g in groups} or groups
+    if patterns:
+        chosen = {pattern: _matching(pattern, recording) for pattern in patterns}
+    group_of = {name: group for group, names in reversed(chosen.items()) for name in names}
+    ranges = {name: span(recording[name]) for names in chosen.values() for name in names}
+    widest = widest_of_unit(ranges, recording.units)
+    moving = [name for name, size in ranges.items() if size > AT_REST * widest[name]]
+    if not moving:
+        got = ", ".join(ranges) or "none"
+        raise Problem(f"{recording.heading}: expected signals that move, got {got}")
+    given = {name: recording.criterion(name) for name in moving}
+    criteria = {n: replace(c, group=group_of[n], span=c.span or ranges[n]) for n, c in given.items()}
+    at_rest = ", ".join(name for name in ranges if name not in moving)
+    metadata = {**recording.metadata, **({RESTING: at_rest} if at_rest else {})}
+    return replace(recording.select(moving), criteria=criteria, metadata=metadata)
 
 
-def from_run(
+def run_as_reference(
     title: str, trace: Trace, patterns: Sequence[str] = (), quantities: Sequence[str] = ()
-) -> Reference:
+) -> Recording:
     """The same of a run; default: all quantities."""
     units = {name: trace.units.get(name, "") for name in trace}
     recording = Recording(trace.time, trace.signals, units, metadata={"title": title})
-    return from_recording(recording, patterns, quantities)
+    return as_reference(recording, patterns, quantities)
 
 
 def finest_run(
@@ -224,14 +172,14 @@ def finest_run(
     steps: Sequence[float],
     scenario: ScenarioSource = None,
     **options: Unpack[CaseArguments],
-) -> Reference:
+) -> Recording:
     """The solution if there is no recording: the outputs of `hermite` with half the smallest step."""
     outputs = [str(port) for port in system.ports("output") if system.variable(port).is_real]
     for pattern in patterns:
         _matching(pattern, outputs)
     step = min(steps) / 2
     result = run(system, scenario, master=FINEST, step=step, record=outputs, **options)
-    return from_run(f"hermite at {milliseconds(step)}", result.trace, patterns, DEFAULT_QUANTITIES)
+    return run_as_reference(f"hermite at {milliseconds(step)}", result.trace, patterns, DEFAULT_QUANTITIES)
 
 
 def _matching(pattern: str, names: Iterable[str]) -> list[str]:
@@ -242,20 +190,48 @@ def _matching(pattern: str, names: Iterable[str]) -> list[str]:
     return matches
 
 
-def _without_rest(recording: Recording, groups: Mapping[str, Sequence[str]]) -> Reference:
-    """The groups without signals at rest: they have no range, alone or next to others of their unit."""
-    ranges = {name: span(recording[name]) for names in groups.values() for name in names}
-    widest = widest_of_unit(ranges, recording.units)
-    at_rest = [name for name, size in ranges.items() if size <= AT_REST * widest[name]]
-    moving = {group: [name for name in names if name not in at_rest] for group, names in groups.items()}
-    moving = {group: names for group, names in moving.items() if names}
-    if not moving:
-        got = ", ".join(at_rest) or "none"
-        raise Problem(f"{recording.heading}: expected signals that move, got {got}")
-    given = {name: recording.criterion(name) for name in ranges}
-    criteria = {n: replace(criterion, span=criterion.span or ranges[n]) for n, criterion in given.items()}
-    notes = (f"not compared, at rest: {', '.join(at_rest)}",) if at_rest else ()
-    return Reference(replace(recording, criteria=criteria), moving, notes)
+def _check(
+    reference: Recording, system: System, start: float, stop: float | None, steps: Iterable[float]
+) -> None:
+    """Raise Problem if the system lacks a signal, or a step has too few instants in common."""
+    for name in reference:
+        if name not in system.outputs and name not in system.names():
+            raise UnknownSignal(name, [*system.outputs, *system.names()], f"{reference.heading}: ")
+    time = reference.time
+    last = time[-1] if stop is None else min(stop, time[-1])
+    for step in steps:
+        points: Array = start + step * np.arange(int((last - start) / step + SAME_TIME) + 1.0)
+        if (count := len(_common_instants(points, time, step)[0])) < FEWEST_INSTANTS:
+            expected = f"{FEWEST_INSTANTS} or more instants in common with {reference.heading}"
+            raise Problem(f"step {step:g} s: expected {expected}, got {count}")
+
+
+def _adaptive_record_step(reference: Recording, start: float) -> float:
+    """Record step [s] of a run with adaptive step size: steps have to end at these instants."""
+    time = reference.time
+    intervals, duration = len(time) - 1, time[-1] - time[0]
+    offset = (start - time[0]) * intervals / duration
+    equal = np.ptp(np.diff(time)) < SAME_TIME * duration
+    if not equal or abs(offset - round(offset)) > SAME_TIME:
+        raise Problem(f"{reference.heading}: expected equally spaced samples from {start:g} s on")
+    return float(duration * max(intervals // MOST_INSTANTS, 1) / intervals)
+
+
+def _errors(trace: Trace, reference: Recording, step: float) -> Validation:
+    """The errors at the common instants."""
+    in_run, here = _common_instants(trace.time, reference.time, step)
+    time = reference.time[here]
+    units = {n: trace.units.get(n, "") for n in reference}
+    found = Trace(time, {n: trace[n][in_run] for n in reference}, units)
+    return validate(found, replace(reference, time=time, signals={n: reference[n][here] for n in reference}))
+
+
+def _common_instants(run: Array, reference: Array, step: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the common instants, in the run and in the reference."""
+    margin = rounding(reference, step)
+    nearest = np.minimum(np.searchsorted(run, reference - margin), len(run) - 1)
+    common = np.flatnonzero(np.abs(run[nearest] - reference) <= margin)
+    return nearest[common], common
 
 
 # ---- the runs
@@ -266,7 +242,7 @@ class SettingRun:
     """The run of one setting at one step. Times in [s].
 
     step     communication step; of an adaptive run the first one to try
-    errors   group -> signal -> its errors, the largest first; empty if the run ended early or was refused
+    errors   of each signal; None if the run ended early or was refused
     steps    number of communication steps
     walls    wall times, one for each repetition of the run
     failure  why the run ended early; empty if it did not
@@ -275,7 +251,7 @@ class SettingRun:
 
     setting: Setting
     step: float
-    errors: Mapping[str, Mapping[str, Metrics]] = field(default_factory=dict)
+    errors: Validation | None = None
     steps: int = 0
     simulated: float = 0.0
     walls: tuple[float, ...] = ()
@@ -288,33 +264,39 @@ class SettingRun:
         return self.simulated / self.steps if self.steps else self.step
 
     @property
-    def wall(self) -> float:
-        """Median over the repetitions [s]."""
-        return median(self.walls) if self.walls else float("nan")
-
-    @property
     def cost(self) -> float:
-        """Wall time over simulated time."""
-        return self.wall / self.simulated if self.simulated else float("nan")
+        """Median wall time over simulated time."""
+        return median(self.walls) / self.simulated if self.walls and self.simulated else float("nan")
 
     @property
     def stable(self) -> bool:
         """The run came to the end, and no error was ever larger than the range of its signal."""
-        errors = [e for group in self.errors.values() for e in group.values()]
-        return bool(errors) and all(e.maximum_error < UNSTABLE_ERROR * e.normalised_by for e in errors)
+        found = [row.metrics for row in self.errors.rows] if self.errors else []
+        return bool(found) and all(m.maximum_error < UNSTABLE_ERROR * m.normalised_by for m in found)
+
+    def worst(self, group: str) -> ValidatedSignal | None:
+        """The signal of a group with the largest NRMSE; None without errors."""
+        rows = self.errors.groups[group] if self.errors else []
+        return max(rows, key=lambda row: row.metrics.nrmse or 0.0, default=None)
 
     def error(self, group: str) -> float:
         """NRMSE of the worst signal of a group."""
-        return next(iter(self.errors[group].values())).nrmse or 0.0
+        worst = self.worst(group)
+        return (worst and worst.metrics.nrmse) or 0.0
 
 
 @dataclass(frozen=True)
 class ConvergenceStudy:
     """All runs of a study, by setting with increasing steps."""
 
-    reference: Reference
+    reference: Recording
     runs: tuple[SettingRun, ...]
     notes: tuple[str, ...] = ()
+
+    @property
+    def groups(self) -> dict[str, list[str]]:
+        """Group -> its signals, which share a table."""
+        return grouped(self.reference, lambda name: self.reference.criterion(name).group)
 
     @property
     def steps(self) -> list[float]:
@@ -335,7 +317,7 @@ class ConvergenceStudy:
         if next_finer is None or not (next_finer.stable and setting_run.stable):
             return None
         small, large = next_finer.error(group), setting_run.error(group)
-        if min(small, large) < ROUNDING:
+        if min(small, large) < ROUNDING or setting_run.mean_step <= next_finer.mean_step:
             return None
         return log(large / small) / log(setting_run.mean_step / next_finer.mean_step)
 
@@ -347,7 +329,7 @@ def milliseconds(step: float) -> str:
 
 def run_settings(
     system: System,
-    reference: Reference,
+    reference: Recording,
     settings: Sequence[Setting],
     steps: Sequence[float],
     repeats: int = 3,
@@ -367,43 +349,46 @@ def run_settings(
     """
     start, stop = seconds(options.get("start"), "start"), seconds(options.get("stop"), "stop")
     start = (system.start or 0.0) if start is None else start
-    reference.check(system, start, stop, steps)
+    _check(reference, system, start, stop, steps)
     rates = rate_inputs(system) if rates is None else tuple(rates)
-    ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference.names]
+    ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference]
     given: dict[str, Any] = {**options, "record": list(dict.fromkeys(ports))}
     done, scenario = [] if done is None else done, read_scenario(scenario)
-    plans = [
-        plan
-        for setting in settings
-        if rates or not setting.without_rates
-        for plan in [SettingRun(setting, step) for step in sorted(steps)[: 1 if setting.adaptive else None]]
-    ]
-    with doing("the first run") as line:
-        for n, plan in enumerate(plans):
+    chosen = [setting for setting in settings if rates or not setting.without_rates]
+    plans = [SettingRun(s, step) for s in chosen for step in sorted(steps)[: 1 if s.adaptive else None]]
+    with doing("the first run") as line, closing(Runs([system])) as runs:
+
+        def one(plan: SettingRun) -> SettingRun:
+            """A run, repeated for its wall time if it was stable."""
             setting, step = plan.setting, plan.step
-            line.update(f"{n} of {len(plans)}  {setting.label}, {milliseconds(step)}")
-            coupled = system.without(*rates) if setting.without_rates else system
-            record_step = reference.adaptive_record_step(start) if setting.adaptive else step
-            given |= {"master": setting.coupling, "step": step, "record_step": record_step}
-            done.append(_run(plan, reference, partial(attempt, coupled, scenario, **given), repeats))
+            line.update(f"{len(done)} of {len(plans)}  {setting.label}, {milliseconds(step)}")
+            record_step = _adaptive_record_step(reference, start) if setting.adaptive else step
+            own = {"master": setting.coupling, "step": step, "record_step": record_step}
+            try:
+                job = Job.of(
+                    system.without(*rates) if setting.without_rates else system, scenario, given | own
+                )
+            except Problem as problem:
+                return replace(plan, refusal=str(problem))
+            job = replace(job, system=runs.copied(job.system))
+            result, end = runs.alone(job)
+            failure = end.reason if end and (result is None or end.status == Status.FAILED) else ""
+            if result is None:
+                return replace(plan, refusal=failure)
+            card = result.card
+            ended = replace(plan, steps=card.steps, simulated=card.simulated, failure=failure)
+            if not failure:
+                try:
+                    ended = replace(ended, errors=_errors(result.trace, reference, step))
+                except Problem as problem:  # values beyond all bounds
+                    ended = replace(ended, failure=str(problem))
+            again = (runs.alone(job)[0] for _ in range(repeats - 1 if ended.stable else 0))
+            return replace(ended, walls=(card.wall, *(other.card.wall for other in again if other)))
+
+        in_threads(one, plans, done.extend, runs.stop, workers=1)
     if done and all(run.refusal for run in done):  # the user's mistake, not a limit of the FMUs
         raise Problem(done[0].refusal)
     return done
-
-
-def _run(
-    plan: SettingRun, reference: Reference, run: Callable[[], tuple[Result, str]], repeats: int
-) -> SettingRun:
-    """One run, repeated for its wall time if it was stable."""
-    try:
-        result, failure = run()
-    except Problem as problem:
-        return replace(plan, refusal=str(problem))
-    card = result.card
-    errors = {} if failure else reference.errors(result.trace, plan.step)
-    done = replace(plan, errors=errors, steps=card.steps, simulated=card.simulated, failure=failure)
-    more = (run()[0].card.wall for _ in range(repeats - 1 if done.stable else 0))
-    return replace(done, walls=(card.wall, *more))
 
 
 # ---- for the command line
@@ -442,22 +427,22 @@ def convergence(
     make_folder(out)
     given = {name: value for name, value in given.items() if value}
     if reference is None and default_reference and not other_run:
-        names = from_recording(read_recording(default_reference)).names
+        names = as_reference(read_recording(default_reference))
         reference = default_reference if set(names) <= set(coupled.names()) else None
     if reference:
         recording = read_recording(reference)
-        solution, note = from_recording(recording, signals), another_model(coupled, recording)
+        solution, note = as_reference(recording, signals), another_model(coupled, recording)
     else:
         solution = finest_run(coupled, signals, steps, scenario, **given)
-        note = f"no reference for this run: {solution.title}, half the smallest step, is used instead"
+        note = f"no reference for this run: {solution.heading}, half the smallest step, is used instead"
     rates, runs = rate_inputs(coupled), list[SettingRun]()
     plain = rates and any(setting.without_rates for setting in settings)
     plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}" if plain else ""
     try:
         run_settings(coupled, solution, settings, steps, repeats, rates, scenario, runs, **given)
     finally:
-        notes = filter(None, (note, *solution.notes, plain_note))
-        study = ConvergenceStudy(solution, tuple(runs), tuple(notes))
+        resting = f"{RESTING}: {solution.metadata[RESTING]}" if RESTING in solution.metadata else ""
+        study = ConvergenceStudy(solution, tuple(runs), tuple(filter(None, (note, resting, plain_note))))
         if not all(run.refusal for run in runs):
             tell("\n".join([report(study).text(), "", *map(str, write(study, out))]))
     return study

@@ -1,6 +1,6 @@
 """Figures of the report of a study, each as wide as a column of the page.
 
-scatter     an output over the factors with the largest effects: a dot per run, and the median in bins
+scatter     an output over each of the factors with the largest effects: a dot per run, and the median in bins
 histogram   distribution of an output over the runs
 bands       quantiles of a signal over time
 tornado     sensitivities of an output, the largest on top, each bar with its 95 % interval
@@ -8,86 +8,48 @@ tornado     sensitivities of an output, the largest on top, each bar with its 95
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from orchestrator.base.text import DisplayUnit, display_unit, name_with_unit
 from orchestrator.data.table import Array
-from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
-from orchestrator.pages.plotting import legend, limit_ticks, new_figure, style_axes
+from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel, bars
 from orchestrator.studies.analysis.output_samples import done
-from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, OutputAnalysis, Sensitivity
+from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, OutputAnalysis, Sensitivity
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output, short
 
-WIDTH = 6.2  # [in], a column of the page; text is readable down to 500 pixels
-LIGHT, DARK = zip(*PALETTE.pairs[:3], strict=True)
-
-
-def column_figure(height: float) -> Figure:
-    """A figure as wide as a column; parts that are drawn as pixels have two pixels per point."""
-    figure = new_figure(WIDTH, height, h_pad=0.05, w_pad=0.05)
-    figure.set_dpi(144)
-    return figure
-
-
-PANELS = 4  # of a scatter figure; two more if the tornado next to it is long
-MOST_DOTS = 1500  # per panel; more would overlap
-LARGE_DOTS = 300  # number of runs up to which dots are larger
+LIGHT, DARK = zip(*PALETTE.pairs, strict=True)  # of the options of a choice
+HEIGHT = 4.2  # of a panel
+QUANTILE = {"color": PALETTE.ink, "linewidth": 1.0, "linestyle": (0, (4, 2))}
+PANELS = 4  # of the factors with the largest effects
 BINS = 12
-# Between light and dark colours of the palette, as pixels do not follow the theme of the page.
-COLOURS = ("#3f7fb0", "#bb7319", "#2f8f6f")
 
 
 def scatter(
     results: Results, output: Output, analysed: OutputAnalysis, sensitivity: Sensitivity
-) -> Figure | None:
-    """Small multiples in the order of the tornado; None if no factor was varied."""
+) -> dict[str, TraceFigure]:
+    """Factor -> all runs over it, in the order of the tornado; empty if no factor was varied."""
     by_name = {f.name: f for f in results.study.factors}
-    top = [by_name[e.name] for e in sensitivity.effects if e.name in by_name]
-    top = top[: PANELS if len(sensitivity.effects) <= 8 else PANELS + 2]
-    if not top:
-        return None
-    runs = done(results).dropna(subset=[output.column])
-    rows = (len(top) + 1) // 2
-    figure = column_figure(0.4 + 2.15 * rows)
-    panels = figure.subplots(rows, min(2, len(top)), sharey=True, squeeze=False)
-    choice = colouring(results, sensitivity)
-    for axes, factor in zip(panels.ravel(), top, strict=False):
+    top = [by_name[e.name] for e in sensitivity.effects if e.name in by_name][:PANELS]
+    runs, choice = done(results).dropna(subset=[output.column]), colouring(results, sensitivity)
+    y, figures = analysed.display.factor * runs[output.column].to_numpy(float), dict[str, TraceFigure]()
+    for factor in top:
         unit = factor_unit(factor)
-        varied = factor.name + (", times its value" if factor.relative else "")
-        style_axes(axes, name_with_unit(varied, unit.display), size=8)
         x = unit.factor * runs[factor.column].to_numpy(float)
-        y = analysed.display.factor * runs[output.column].to_numpy(float)
-        _dots(axes, x, y, choice, runs)
+        dots = [
+            TraceLine(x[rows], y[rows], {"color": colour, "marker": "o", "alpha": 0.5}, name)
+            for (name, rows), colour in zip(_groups(runs, choice), DARK, strict=False)
+        ]
         if shows_medians(results):
-            axes.plot(*medians(x, y), color=PALETTE.ink, linewidth=1.8)
-        limit_ticks(axes.xaxis, 4)
-    for axes in panels.ravel()[len(top) :]:
-        axes.set_visible(False)
-    for axes in panels[:, 0]:
-        axes.set_ylabel(name_with_unit(output.name, analysed.display.display), color=PALETTE.ink, fontsize=8)
-        limit_ticks(axes.yaxis, 4)
-    if choice:
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        legend(figure, handles=handles, labels=labels, markerscale=3)
-    return figure
-
-
-def _dots(axes: Axes, x: Array, y: Array, choice: Choice | None, runs: pd.DataFrame) -> None:
-    """Draw up to MOST_DOTS runs, in the colours of the options."""
-    shown = slice(None, None, max(1, -(-len(runs) // MOST_DOTS)))
-    size, alpha = (5, 0.45) if len(runs) > LARGE_DOTS else (12, 0.7)
-    for (name, rows), colour in zip(_groups(runs, choice), COLOURS, strict=False):
-        style: dict[str, Any] = {"s": size, "alpha": alpha, "linewidths": 0, "rasterized": True}
-        axes.scatter(x[shown][rows[shown]], y[shown][rows[shown]], color=colour, label=name, **style)
+            dots.append(TraceLine(*medians(x, y), {"color": PALETTE.ink, "linewidth": 1.8}, "median"))
+        varied = factor.name + (", times its value" if factor.relative else "")
+        panel = TracePanel(analysed.display.display, dots, output.name, heights=(HEIGHT, 0.0))
+        figures[factor.name] = TraceFigure([panel], axis=name_with_unit(varied, unit.display))
+    return figures
 
 
 def _groups(runs: pd.DataFrame, choice: Choice | None) -> list[tuple[str, Array]]:
@@ -100,7 +62,7 @@ def _groups(runs: pd.DataFrame, choice: Choice | None) -> list[tuple[str, Array]
 
 def colouring(results: Results, sensitivity: Sensitivity | None) -> Choice | None:
     """The choice with the largest effect, of those with at most as many options as there are colours."""
-    by_name = {c.name: c for c in results.study.compared if len(c.options) <= len(COLOURS)}
+    by_name = {c.name: c for c in results.study.compared if len(c.options) <= len(DARK)}
     names = [e.name for e in sensitivity.effects] if sensitivity else list(by_name)
     return next((by_name[name] for name in names if name in by_name), None)
 
@@ -126,26 +88,23 @@ def medians(x: Array, y: Array) -> tuple[Array, Array]:
     return np.array([np.median(x[p]) for p in parts]), np.array([np.median(y[p]) for p in parts])
 
 
-def histogram(results: Results, output: Output, analysed: OutputAnalysis, choice: Choice | None) -> Figure:
+def histogram(
+    results: Results, output: Output, analysed: OutputAnalysis, choice: Choice | None
+) -> TraceFigure:
     """Histogram of an output, options stacked, with lines at the 5, 50 and 95 % quantiles."""
-    figure = column_figure(2.5)
-    axes = figure.subplots()
-    style_axes(axes, name_with_unit(output.name, analysed.display.display), "runs")
-    scale = analysed.display.factor
     runs = done(results).dropna(subset=[output.column])
-    values = scale * runs[output.column].to_numpy(float)
+    values = analysed.display.factor * runs[output.column].to_numpy(float)
     edges = np.histogram_bin_edges(values, bins=min(50, max(8, round(len(values) ** 0.5))))
-    groups = _groups(runs, choice)
-    parts, names = [values[rows] for _, rows in groups], [name for name, _ in groups]
-    colours = list(LIGHT[: len(parts)])
-    axes.hist(parts, bins=edges.tolist(), stacked=True, color=colours, label=names, linewidth=0)
-    if analysed.spread:
-        for value in (analysed.spread.low, analysed.spread.median, analysed.spread.high):
-            axes.axvline(value * scale, color=PALETTE.ink, linewidth=1.0, linestyle=(0, (4, 2)))
-    limit_ticks(axes.xaxis, 6)
-    if choice:
-        legend(figure)
-    return figure
+    lines, below = list[TraceLine](), np.zeros(len(edges) - 1)
+    for (name, rows), colour in zip(_groups(runs, choice), LIGHT, strict=False):
+        below = below + np.histogram(values[rows], edges)[0]
+        outline = np.concatenate([[0], np.repeat(below, 2), [0]])
+        lines.insert(0, TraceLine(np.repeat(edges, 2), outline, {"color": colour, "fill": True}, name))
+    if spread := analysed.spread:
+        places = np.repeat(np.multiply((spread.low, spread.median, spread.high), analysed.display.factor), 3)
+        lines.append(TraceLine(places, np.tile([0.0, below.max(), np.nan], 3), QUANTILE, "5, 50, 95 %"))
+    panel = TracePanel("", lines, "runs", heights=(HEIGHT, 0.0))
+    return TraceFigure([panel], axis=name_with_unit(output.name, analysed.display.display))
 
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -191,57 +150,38 @@ LABELS = {
 }
 
 
-def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
-    """Bars of the sensitivity measure, first-order bars within total ones."""
+def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> TraceFigure:
+    """Bars of the sensitivity measure, those of first order within total ones.
+
+    A fraction of the variance is drawn from 0 to 1, as its estimate can be outside.
+    """
     effects, measure = sensitivity.effects[:MOST_BARS], sensitivity.measure
-    unit = analysed.display if measure == MU_STAR else DisplayUnit("1", "%")
-    figure = column_figure(1.25 + 0.27 * len(effects))
-    axes = figure.subplots()
-    style_axes(axes, name_with_unit(LABELS.get(measure, "fraction of the variance"), unit.display))
-    axes.grid(False, axis="y")
-    for row, effect in enumerate(effects):
-        _bar(axes, row, effect, measure, unit.factor)
-    names = [effect.label.replace(" (", "\n(") for effect in effects]
-    axes.set_yticks(range(len(effects)), names, color=PALETTE.ink)
-    axes.set_ylim(len(effects) - 0.4, -0.6)
-    right = axes.get_xlim()[1]
-    axes.set_xlim(0, right if measure == MU_STAR else min(right, 103.0))  # a fraction is at most 100 %
-    limit_ticks(axes.xaxis)
-    if marks := _marks(effects, measure):
-        legend(figure, handles=marks, ncols=len(marks), handlelength=1.2, columnspacing=1.2)
-    return figure
+    unit, most = (analysed.display, np.inf) if measure == MU_STAR else (DisplayUnit("1", "%"), 1.0)
 
+    def drawn(values: Iterable[float]) -> Array:
+        return unit.factor * np.clip([*values], 0.0, most)
 
-def _bar(axes: Axes, row: int, effect: Effect, measure: str, scale: float) -> None:
-    """Draw an effect. Light: total; dark: first order; line: interval."""
-    light, dark = PALETTE.pair(1 if effect.kind == "choice" else 0)
-    estimate = effect.estimates[measure]
-    axes.barh(row, _drawn(estimate.value, measure, scale), height=0.72, color=light, linewidth=0)
+    rows = [-float(k) for k in range(len(effects))]
+    ends = [drawn([effect.estimates[measure].value])[0] for effect in effects]
+    lines = []
+    for kind, name, colour in (("factor", "factor", LIGHT[0]), ("choice", "choice", LIGHT[1])):
+        of_kind = [(row, 0.0, end) for row, end, e in zip(rows, ends, effects, strict=True) if e.kind == kind]
+        lines += [bars(of_kind, 0.36, colour, name)] if of_kind else []
     if measure == TOTAL:
-        first = _drawn(effect.estimates[FIRST].value, measure, scale)
-        axes.barh(row, first, height=0.34, color=dark, linewidth=0)
-    if "sigma" in effect.more:
-        axes.plot(effect.more["sigma"] * scale, row, marker="|", markersize=11, color=PALETTE.bad)
-    if estimate.low is not None:
-        ends = [_drawn(end, measure, scale) for end in (estimate.floor, estimate.ceiling)]
-        axes.plot(ends, [row, row], color=PALETTE.ink, linewidth=1.2, marker="|", markersize=7)
-
-
-def _drawn(value: float, measure: str, scale: float) -> float:
-    """Position of an estimate on the axis; a fraction is limited to 0..1, as its estimate can be outside."""
-    return max(0.0, value if measure == MU_STAR else min(1.0, value)) * scale
-
-
-def _marks(effects: tuple[Effect, ...], measure: str) -> list[Patch | Line2D]:
-    """Legend entries of a tornado."""
-    marks: list[Patch | Line2D] = []
-    if measure == TOTAL:
-        marks += [Patch(color=LIGHT[0], label="total"), Patch(color=DARK[0], label="first order")]
-    if any(effect.kind == "choice" for effect in effects):
-        marks.append(Patch(color=LIGHT[1], label="choice"))
-    if any(effect.estimates[measure].low is not None for effect in effects):
-        marks.append(Line2D([], [], label="95 %", color=PALETTE.ink, linewidth=1.4))
-    if any("sigma" in effect.more for effect in effects):
-        name = "\N{GREEK SMALL LETTER SIGMA} of the effects"
-        marks.append(Line2D([], [], label=name, color=PALETTE.bad, marker="|", markersize=10, linewidth=0))
-    return marks
+        firsts = drawn(effect.estimates[FIRST].value for effect in effects)
+        within = [(row, 0.0, first) for row, first in zip(rows, firsts, strict=True)]
+        lines.append(bars(within, 0.17, DARK[0], "first order"))
+    estimates = [(row, e.estimates[measure]) for row, e in zip(rows, effects, strict=True)]
+    if limits := [(row, e.floor, e.ceiling) for row, e in estimates if e.low is not None]:
+        x = np.concatenate([[*drawn([low, high]), np.nan] for _, low, high in limits])
+        y = np.concatenate([[row, row, np.nan] for row, *_ in limits])
+        lines.append(TraceLine(x, y, {"color": PALETTE.ink, "linewidth": 1.4}, "95 %"))
+    if spread := [(row, e.more["sigma"]) for row, e in zip(rows, effects, strict=True) if "sigma" in e.more]:
+        style = {"color": PALETTE.bad, "marker": "D"}
+        y, sigma = np.array(spread).T
+        lines.append(TraceLine(unit.factor * sigma, y, style, "\N{GREEK SMALL LETTER SIGMA} of the effects"))
+    right = max(float(np.nanmax(line.time)) for line in lines)
+    names = {row: effect.label.replace(" (", "\n(") for row, effect in zip(rows, effects, strict=True)}
+    axis = name_with_unit(LABELS.get(measure, "fraction of the variance"), unit.display)
+    panel = TracePanel("", lines, heights=(0.6 * len(effects) + 0.8, 0.0), words=names)
+    return TraceFigure([panel], (0.0, right or 1.0), axis=axis)

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure as Drawing
 
+from orchestrator.base.files import write_whole
 from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
-from orchestrator.pages.html_page import json_values, write_text
-from orchestrator.pages.plotting import embed
+from orchestrator.pages.html_page import json_values
 from orchestrator.results.report import TERMINAL, Columns, Facts, Figure, Part, Report, Section, Table, Text
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import output_description, sentences, size
@@ -49,8 +48,8 @@ PURE = DisplayUnit("", "")
 def write(folder: Path, results: Results) -> Report:
     """Analyse a study and write both files; equal results give equal bytes."""
     made = study_report(results, analyse(results))
-    write_text(folder / PAGE, made.html())
-    write_text(folder / NUMBERS, made.json() + "\n")
+    write_whole(folder / PAGE, made.html())
+    write_whole(folder / NUMBERS, made.json() + "\n")
     return made
 
 
@@ -66,7 +65,7 @@ def study_report(results: Results, analysis: Analysis) -> Report:
         f"{analysis.runs} runs of `{study.system}`, {', '.join([*varied, METHODS[study.method]])}",
         left_out if failed else "All finished",
     ]
-    sections = [_output(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)]
+    sections = [_output(results, outputs[f.name], f) for f in analysis.findings]
     known: dict[str, Any] = json_values(study)
     known.pop("folder")  # the location of the study is not a result
     single = {n: v for n, v in known.items() if v not in ("", None) and not isinstance(v, list | dict)}
@@ -109,14 +108,14 @@ def _outputs(analysis: Analysis) -> TextTable:
     return TextTable(["output", "median", "in nine of ten runs", "what it is"], rows, left=(0, 3))
 
 
-def _output(results: Results, output: Output, found: OutputAnalysis, index: int) -> Section:
+def _output(results: Results, output: Output, found: OutputAnalysis) -> Section:
     """Sentences, figures and tables of an output."""
     what, sensitivity = output_description(found), found.sensitivity
     unit = f", in {found.display.name}" if found.display.name else ""
     parts: list[Part] = [
         Text([f"{what}{unit}"], "soft"),
         Text([" ".join(sentences(found))]),
-        Columns(_figures(results, output, found, index)),
+        Columns(_figures(results, output, found)),
         Table(replace(_spreads(found), title=f"Statistics{unit}")),
     ]
     if sensitivity is not None:
@@ -217,23 +216,23 @@ def _measure(effect: Effect, key: str, unit: DisplayUnit) -> str:
     return (unit if key in ("mu", "sigma") else PURE).text(effect.more[key])
 
 
-def _figures(results: Results, output: Output, analysed: OutputAnalysis, index: int) -> list[Figure]:
-    """Sensitivities, dots of all runs, and distribution of an output."""
-    sensitivity, figures = analysed.sensitivity, list[Figure]()
-
-    def add(drawing: Drawing, name: str, heading: str, caption: str) -> None:
-        figures.append(Figure(embed(drawing, f"{name[0]}{index}-", name), name, caption, heading))
-
+def _figures(results: Results, output: Output, analysed: OutputAnalysis) -> list[Figure]:
+    """Sensitivities, distribution, and all runs over the factors with the largest effects, of an output."""
+    sensitivity, figures, name = analysed.sensitivity, list[Figure](), output.name
     if sensitivity is not None:
         count = len(sensitivity.effects)
         caption = f"The {MOST_BARS} largest of {count}, which are in the table." if count > MOST_BARS else ""
-        add(tornado(analysed, sensitivity), "tornado", "Sensitivities", caption)
-        if (dots := scatter(results, output, analysed, sensitivity)) is not None:
-            line = "; the line is the median." if shows_medians(results) else "."
-            add(dots, "scatter", "Factors with the largest effect", f"A dot for each run{line}")
+        drawn = tornado(analysed, sensitivity)
+        figures.append(Figure(drawn, f"Sensitivities of {name}", caption, "Sensitivities"))
     if analysed.spread is not None and not analysed.constant:
-        drawing = histogram(results, output, analysed, colouring(results, sensitivity))
-        add(drawing, "histogram", "Distribution", "Dashed: 5, 50 and 95 % quantiles.")
+        drawn = histogram(results, output, analysed, colouring(results, sensitivity))
+        figures.append(Figure(drawn, f"Distribution of {name}", heading="Distribution"))
+    if sensitivity is not None:
+        line = "; the line is the median" if shows_medians(results) else ""
+        figures += [
+            Figure(drawn, f"{name} over {factor}", f"A dot for each run{line}.", f"Over {factor}")
+            for factor, drawn in scatter(results, output, analysed, sensitivity).items()
+        ]
     return figures
 
 
