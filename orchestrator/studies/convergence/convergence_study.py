@@ -35,7 +35,7 @@ from orchestrator.engine.result import widest_of_unit
 from orchestrator.engine.run import run
 from orchestrator.engine.scenario import ScenarioSource, read_scenario
 from orchestrator.lanes.group import Status
-from orchestrator.lanes.many import Runs, in_threads
+from orchestrator.lanes.many import Runs, many
 from orchestrator.results.metrics import AT_REST
 from orchestrator.results.validate_system import another_model
 from orchestrator.results.validation import ValidatedSignal, Validation, validate
@@ -385,7 +385,7 @@ def run_settings(
             again = (runs.alone(job)[0] for _ in range(repeats - 1 if ended.stable else 0))
             return replace(ended, walls=(card.wall, *(other.card.wall for other in again if other)))
 
-        in_threads(one, plans, done.extend, runs.stop, workers=1)
+        many(one, plans, done.extend, runs.stop, workers=1)
     if done and all(run.refusal for run in done):  # the user's mistake, not a limit of the FMUs
         raise Problem(done[0].refusal)
     return done
