@@ -140,21 +140,29 @@ class Axis:
         self.usable = m.lag("usable", self.sound, QUICK, "1: the readings are usable", zero=True)
         self.shut = m.sum("shut", "Time for which the valve is closed", 1, self.closed * self.sound)
 
-    def edge(self, k: int) -> tuple[Scalar, Scalar, Scalar]:
-        """Of the chamber that is filled: flow, drop over the edge, and flow at full opening [m3/s].
+    def edge(self, k: int) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+        """Of the chamber that is filled: flow, drop over the edge, flow at full opening [m3/s], hose.
+
+        The last is the drop of the whole hose over that of the edge; 0 of compensated sections.
 
         Compensated sections share a supply that is not enough for all, so each has the least drop of all.
         """
         a, flow = self.actuator, self.flows[k]
         drop = self.u.supply_pressure - self.pressures[k]
         drop = ca.if_else(self.compensated > 0, ca.fmin(drop, self.margin), drop)
-        inside = positive(drop - a.hose.drop(flow), SMALL)
-        return flow, drop, ca.if_else(self.compensated > 0, a.section_flows[k], a.gain * ca.sqrt(inside))
+        inside, hose = self._without_hose(drop, flow)
+        full = ca.if_else(self.compensated > 0, a.section_flows[k], a.gain * ca.sqrt(inside))
+        return flow, drop, full, (1 - self.compensated) * hose / inside
+
+    def _without_hose(self, drop: Scalar, flow: Scalar) -> tuple[Scalar, Scalar]:
+        """Drop over the edge, without that of the hose between it and the sensor; drop of the hose [Pa]."""
+        hose = self.actuator.hose.drop(flow)
+        return positive(drop - self.reference("hose_friction") * hose, SMALL), hose
 
     def return_edge(self, k: int) -> tuple[Scalar, Scalar]:
         """Opening of the return edge while chamber k is filled, and whether it is known."""
         drop, flow = self.pressures[1 - k] - self.u.tank_pressure, -self.flows[1 - k]
-        full = self.actuator.gain * ca.sqrt(positive(drop - self.actuator.hose.drop(flow), SMALL))
+        full = self.actuator.gain * ca.sqrt(self._without_hose(drop, flow)[0])
         return flow / full, whether(drop > LEAST_DROP) * self.full[1 - k] * (1 - self.compensated)
 
     def opened(self, k: int, command: Scalar, sign: int) -> Scalar:

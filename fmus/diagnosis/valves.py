@@ -30,9 +30,10 @@ from fmus.diagnosis.readings import LEAST_DROP, TRAVEL, Axis
 from fmus.diagnosis.unknowns import EDGES, MAP, of_axis
 
 REGULATED = 1.8e6  # Pa, drop from which a compensated section holds its flow: 0.9 of the margin of the pump
+WHOLE = 1.0  # of the drop over the edge, up to which that of a hose counts in linear terms
 WINDOW = 0.15  # s, in which the command is one sample: five lags
 SLOW_MEMORY = 60.0  # s, a minute of work
-HYSTERESIS, DELAY = MAP[4:]
+HYSTERESIS, HOSE, DELAY = MAP[4:]
 DELAYS = 0.01  # s, deviation that is one sample of the mean lag
 
 
@@ -40,7 +41,7 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
     """Weight 0 or 1, and the equation [V]."""
     v, late = a.actuator.valve, a.late_command
     up = whether(late > 0)
-    flow, drop, full = (
+    flow, drop, full, hose = (
         ca.if_else(up > 0, one, other) for one, other in zip(a.edge(0), a.edge(1), strict=True)
     )
     filled = ca.if_else(up > 0, *a.pressures)  # at low pressure an anti-cavitation valve fills it as well
@@ -50,6 +51,7 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
         * whether(size < 0.95 * v.full_command)
         * whether(share > 0.02)
         * whether(share < 0.95)
+        * whether(hose < WHOLE)
         * whether(drop > ca.if_else(a.compensated > 0, REGULATED, LEAST_DROP))
         * whether(filled > CALM)
         * whether(ca.fabs(gone) > 0.9)
@@ -58,15 +60,17 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
     )
     way = 2 * up - 1
     change = way * (a.command - late) / (2 * a.p.lag)
-    columns = [up * size, -up, (1 - up) * size, up - 1, -way * ca.sign(gone), -change]
-    return counts, [(columns, v.dead_band + share * (v.full_command - v.dead_band))]
+    opened = share * (v.full_command - v.dead_band)
+    more = opened * hose / 2  # by all of the friction of the hose
+    columns = [up * size, -up, (1 - up) * size, up - 1, -way * ca.sign(gone), -more, -change]
+    return counts, [(columns, v.dead_band + opened - a.reference(HOSE) * more)]
 
 
 def _edge_equation(a: Axis) -> tuple[Scalar, Equations]:
     """Weight 0 or 1, and the equation, in tenths of the opening."""
     up, counts, sums = whether(a.late_command > 0), 0, [0, 0, 0]
     for k, way in enumerate((up, 1 - up)):
-        (flow, drop, full), (outlet, known) = a.edge(k), a.return_edge(k)
+        (flow, drop, full, _), (outlet, known) = a.edge(k), a.return_edge(k)
         inlet, driven = flow / full, whether(a.least[k] > a.p.closed_command)
         both = whether(drop > LEAST_DROP) * known * a.full[k] * driven
         counts += way * both * whether(inlet > 0.05) * whether(inlet < 0.95) * whether(outlet > 0.02)
@@ -84,13 +88,15 @@ def valve(a: Axis) -> dict[str, Told]:
     counts, equations = _map_equation(a)
     of_map.adds(counts * healthy / WINDOW, equations, p.valve_memory)
     enough = whether(of_map.samples > FEWEST)
-    for k, (n, size) in enumerate(zip(MAP[:-1], of_map.sizes, strict=False)):
-        row = of_map.centre(k // 2 * 2 + 1) if n != HYSTERESIS else [0, 0, 0, 0, 1, 0]
+    for k, (n, size) in enumerate(zip(MAP[:5], of_map.sizes, strict=False)):
+        row = of_map.centre(k // 2 * 2 + 1) if k < 4 else [0, 0, 0, 0, 1, 0, 0]
+        row[MAP.index(HOSE)] = 0  # a nuisance
         change, spread = of_map.along(*row)
         change -= sum(w * priors[one][1] for w, one in zip(row, MAP, strict=True))
         change = change if n == HYSTERESIS else ca.fabs(change)  # less of it is no fault
         limit = p.hysteresis_limit if n == HYSTERESIS else p.valve_limit
         told[n] = *size, judged(change, spread, limit, usable * (1 - a.burst_told) * enough)
+    told[HOSE] = *of_map.sizes[MAP.index(HOSE)], whether(usable * enough) - 1
     # the lag as a mean, by how well it is known; it is told of all valves together
     (size, off), (prior, known) = of_map.sizes[-1], priors[DELAY]
     certain, of_delay = (
