@@ -30,7 +30,8 @@ SAMPLING = QUICK = 0.01  # s, between two samples of the diagnosis; in which a l
 FORGOTTEN = 0.1  # s, in which a sum is forgotten
 DOUBT = 4.0  # samples
 FEWEST = 10.0  # samples, from which a size is told
-CERTAIN = 4.75  # deviations by which a size is above its limit
+# deviations by which a size is above its limit: of 27 sizes, new every 10 s, one by chance in 100 h
+CERTAIN = 4.75
 NOMINAL = {"V": 10.0, "Pa": 1e7, "m3": 1e-3, "m3/s": 1e-3}
 
 Equations = Sequence[tuple[Sequence[Scalar], Scalar]]  # columns and right side of each
