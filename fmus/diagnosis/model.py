@@ -40,7 +40,8 @@ PUMP_MEMORY = 600.0  # s: a pump wears over months, its pressure changes from st
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
 SUPPLY_OFF = 5e5  # Pa, from which a supply pressure is another one
 COMPARED = 100.0  # s, in which valves show whether it is that of a wrong sensor
-DELAY_OFF, AIR_OFF = 1e-6, 3e-3  # s, 1: what the lag of a valve or the air of a function is off
+# s, 1: what the lag of a valve is off by the manner of its operator, and the air of a function
+DELAY_OFF, AIR_OFF = 2.5e-3, 3e-3
 
 
 @dataclass(frozen=True)

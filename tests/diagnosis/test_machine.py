@@ -392,7 +392,8 @@ def test_a_supply_pressure_that_all_valves_contradict_is_of_a_wrong_sensor(outpu
     The midpoint of both explanations decides. Until `COMPARED` it is neither.
     """
     for bar, wrong in ((-30.0, 1), (-10.0, 0)):
-        e, sums = bar / 100, {"supply_1_1": 1e6, "supply_w": 1e6, "supply_1_y": 1.6e8, "supply_yy": 2.56e10}
+        e, sums = bar / 100, {f"supply_{n}": 1e6 for n in ("0_0", "1_1", "w")}
+        sums |= {"supply_1_y": 1.6e8, "supply_yy": 2.56e10}
         sums |= {"supply_error_0_0": 1e6, "supply_error_0_y": 1e6 * e, "supply_error_yy": 1e6 * e**2}
         sums |= {"supply_error_w": 1e6, "supply_other": 200.0, "late_supply": 1.6e7}
         found = outputs(sums, {"pump_pressure_reference": 2e7})
@@ -404,8 +405,9 @@ def test_a_supply_pressure_that_all_valves_contradict_is_of_a_wrong_sensor(outpu
 def test_a_size_is_told_beyond_its_limit(outputs, fit, sizes, below, above, parameters, finding):
     """A quarter below its limit it is none, a quarter above it is: a limit of half or half more fails.
 
-    Of sums of a million samples of which each tells one size. The air of functions differs by 0.003, three of
-    which count as well; its limit is 1.2 times what was learned more.
+    Of sums of a million samples of which each tells one size. The lag of a valve is off by 2.5 ms, which
+    counts 4.75 times. The air of functions differs by 0.003, three of which count as well; its limit is 1.2
+    times what was learned more.
     """
     for size, expected in ((below, 0), (above, 1)):
         known = [size if v == "x" else v for v in sizes]
