@@ -39,6 +39,7 @@ PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
 PUMP_MEMORY = 600.0  # s: a pump wears over months, its pressure changes from stroke to stroke
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
 SUPPLY_OFF = 5e5  # Pa, from which a supply pressure is another one
+LASTING = 10.0  # s, of strokes, for which it is one: a pump that is short of flow recovers
 COMPARED = 100.0  # s, in which valves show whether it is that of a wrong sensor
 # s, 1: what the lag of a valve is off by the manner of its operator, and the air of a function
 DELAY_OFF, AIR_OFF = 2.5e-3, 3e-3
@@ -147,7 +148,9 @@ class Diagnosis:
         fit.adds(other / valves.WINDOW, rows, valves.SLOW_MEMORY, sum(weights))
         ((size, off),) = fit.sizes
         error, limit = PRESSURE * size * ca.sign(change), ca.fabs(change) / 2
-        wrong = other * ca.fmax(judged(error, PRESSURE * off, limit, whether(fit.samples > FEWEST)), 0)
+        wrong = whether(time > LASTING) * ca.fmax(
+            judged(error, PRESSURE * off, limit, whether(fit.samples > FEWEST)), 0
+        )
         hidden = {f"{a.axis.name}_{n}": other for a in axes for n in unknowns.MAP[:4]}
         hidden["pump_pressure"] = either(wrong, other * whether(time < COMPARED))
         for n, hides in hidden.items():

@@ -171,7 +171,7 @@ def weighed(
     square, along = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2), (ca.cos(slewing), ca.sin(slewing))
     length = ca.sumsqr(h) + 1e-9
     of_load = Fit(m, "payload", [(20.0, 0.0)], NOISE / TORQUE, 0.1)
-    of_force = Fit(m, "weighing", [(20, 0), (p.slope, 0), (p.slope, 0)], 0.01, 0.5, weighed=True)
+    of_force = Fit(m, "weighing", [(20, 0), (p.slope, 0), (p.slope, 0)], 0.01, 0.5, 0.5, weighed=True)
     ((size, off),) = of_load.sizes
     (force, off_force), *slope = of_force.sizes
     off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)

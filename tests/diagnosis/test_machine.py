@@ -59,7 +59,8 @@ def test_a_fault_is_named(faulty, work, fault, size, named, within):
     Strokes come every 6 to 8 s: a burst hose of a side without load, a stuck spool or angle shows in the next
     one, a leak at rests, of which the head of the stick has few with more than 10 bar. With 15 % of
     hysteresis a valve does not close any more. A rod side at 3 bar may be empty, with a zero that is off, so
-    its burst takes longer; a wrong pressure is told after a few slews: it could be a slope.
+    its burst takes longer; a wrong pressure is told after a few slews: it could be a slope;
+    and when most of its memory of 30 s is of the fault. A valve is told after two strokes.
     """
     found, _ = told(faulty, work, fault, size=size)
     first = min(found.values())
