@@ -1,6 +1,6 @@
 """False alarms of the diagnosis, and what it finds, with operators and sensors that are drawn apart.
 
-    python -m benchmarks.diagnosis_field [--reserved]
+    python -m benchmarks.diagnosis_field [--reserved | --hours N]
 
 Needs `harvester build --faults --fmi 2 --out build/faults`. Plants run in lanes once and are stored in
 build/field; readings are made of them in NumPy, so other sensors cost only the run of the diagnosis.
@@ -15,13 +15,16 @@ build/field; readings are made of them in NumPy, so other sensors cost only the 
 
 Seeds of machines, work and sensors are drawn apart. Half of the seeds and the styles `RESERVED` were looked
 at once, when the diagnosis was done (`--reserved`). An alarm is a repair that is told in a recording.
+`--hours` counts alarms on further open machines, `LONGER` of each style, without faults.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 from collections import Counter
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -46,8 +49,9 @@ FOLDER = Path("build/field")
 PARTS = Path("build/faults")
 STYLES = ("strokes", "slow", "hurried", "tremor", "ends", "one", "slewing", "rest", "loading")
 RESERVED = ("hurried", "one")
-LEARNED, WORK, BROKEN, BEGIN = 180.0, 60.0, 50.0, 15.0  # s
+LEARNED, WORK, LONGER, BROKEN, BEGIN = 180.0, 60.0, 180.0, 50.0, 15.0  # s
 EVERY, STEP, LANES = 10, 1e-3, 8  # steps between two points; s; machines at once
+OPEN = tuple(s for s in STYLES if s not in RESERVED)
 SEEDS, KEPT = range(100, 100 + LANES), range(500, 500 + LANES)  # of machines of each kind; the reserved ones
 COMMANDS = tuple(f"{a}_command" for a in AXES)
 ROUNDS = 4  # recordings with a fault, another one in each machine
@@ -160,11 +164,14 @@ def work(style: str, seed: int, stop: float) -> Columns:
     return columns
 
 
-def plants(seeds: range, kind: int) -> list[dict[str, Columns]]:
-    """What happens in machines of one kind, by recording; simulated if it is not stored."""
+def plants(seeds: range, kind: int, healthy: bool = False) -> list[dict[str, Columns]]:
+    """What happens in machines of one kind, by recording; simulated if it is not stored.
+
+    healthy   for longer, in open styles, without faults
+    """
     file = FOLDER / f"{seeds[0]}_{kind}.npz"
     if not file.exists():
-        _simulate(seeds, kind, file)
+        _simulate(seeds, kind, file, healthy)
     with np.load(file) as stored:
         found = [dict[str, Columns]() for _ in seeds]
         for key in stored.files:
@@ -179,7 +186,7 @@ def machine_seeds(seeds: range, kind: int) -> list[int]:
     return [4 * s + kind for s in seeds]
 
 
-def _simulate(seeds: range, kind: int, file: Path) -> None:
+def _simulate(seeds: range, kind: int, file: Path, healthy: bool) -> None:
     own = machine_seeds(seeds, kind)
     given = [of_machine(s) for s in own]
     swap: dict[str, Any] = dict(given[0][0])
@@ -196,8 +203,9 @@ def _simulate(seeds: range, kind: int, file: Path) -> None:
     values = {n: np.array([g[n] for _, g in given]) for n in given[0][1]}
     level = values | {n: 0 * v for n, v in values.items() if n.startswith("manipulator.base_")}
     stored = dict[str, Any]()
-    runs = [("learned", "strokes", LEARNED, 1, None)] + [(s, s, WORK, 0, None) for s in STYLES]
-    runs += [(f"broken{j}", "strokes", BROKEN, 0, j) for j in range(ROUNDS)]
+    styles, length, rounds = (OPEN, LONGER, 0) if healthy else (STYLES, WORK, ROUNDS)
+    runs = [("learned", "strokes", LEARNED, 1, None)] + [(s, s, length, 0, None) for s in styles]
+    runs += [(f"broken{j}", "strokes", BROKEN, 0, j) for j in range(rounds)]
     for recording, style, stop, shift, fault in runs:
         works = [work(style, s + 100_000 * shift, stop) for s in own]
         tables = np.stack([np.stack([w[n] for n in (*COMMANDS, "payload_mass")], 1) for w in works])
@@ -277,6 +285,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--reserved", action="store_true", help="the other seeds, and the styles kept back")
+    parser.add_argument("--hours", type=float, default=0.0, help="of healthy work of further open machines")
     parser.add_argument("--machines", type=int, default=LANES, help="of each kind")
     parser.add_argument("--kinds", type=int, nargs="*", default=range(len(VARIANTS)))
     parser.add_argument("--fmu", type=Path, default=PARTS / "diagnosis.fmu")
@@ -284,13 +293,15 @@ def main() -> None:
     parser.add_argument("--verbose", action="store_true")
     given, begin = parser.parse_args(), perf_counter()
     seeds = KEPT if given.reserved else SEEDS
-    styles = STYLES if given.reserved else tuple(s for s in STYLES if s not in RESERVED)
+    styles = STYLES if given.reserved else OPEN
+    a_group = LANES * len(OPEN) * LONGER / 3600  # h
+    further = range(1, 1 + math.ceil(given.hours / a_group / max(len(given.kinds), 1)))
+    groups = [range(seeds[0] + LANES * k, seeds[0] + LANES * (k + 1)) for k in further] or [seeds]
     alarms, by_repair, hours = Counter[str](), Counter[str](), Counter[str]()
     named, payload = dict[str, list[tuple[str, float]]](), list[tuple[bool, bool]]()
-    for kind in given.kinds:
-        all_truths = plants(seeds, kind)[: given.machines]
-        for lane, truth in enumerate(all_truths):
-            seed = machine_seeds(seeds, kind)[lane]
+    for kind, group in product(given.kinds, groups):
+        for lane, truth in enumerate(plants(group, kind, given.hours > 0)[: given.machines]):
+            seed = machine_seeds(group, kind)[lane]
             swap, _ = of_machine(seed)
             healthy = learned_values(told(given.fmu, sensed(truth["learned"], seed), swap, {}))
             for style in styles:
@@ -302,11 +313,11 @@ def main() -> None:
                     some.pop("cooler", None)
                 alarms[style] += len(some)
                 by_repair.update(n for _, n in some.values())
-                hours[style] += WORK / 3600
+                hours[style] += EVERY * STEP * len(truth[style]["boom_angle"]) / 3600
                 if given.verbose and some:
                     print(f"{kind} {seed} {style}: {some}", flush=True)
                 payload += weighed(truth[style], found)
-            for fault, case, size in [] if given.no_faults else cases(truth, lane):
+            for fault, case, size in [] if given.no_faults or given.hours else cases(truth, lane):
                 columns = sensed(case, seed, size)
                 some = repairs(told(given.fmu, columns, swap, healthy))
                 late = {n: t for n, (t, _) in some.items() if t >= BEGIN - 0.1}

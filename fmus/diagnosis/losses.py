@@ -141,13 +141,13 @@ def _rests(a: Axis) -> tuple[Any, Scalar, Scalar]:
 
 
 def leaks(a: Axis) -> dict[str, Told]:
-    """Sizes above their limits by three deviations."""
+    """Sizes above their limits."""
     p, names = a.p, [m.format("leak") for m in chambers_of(a.axis)]
     equations, count, ends = _rests(a)
     usable = a.usable * (1 - a.spool)
     foam, healthy = TABLE["axis"]["air"].prior, a.reference("air")
     airy = foam if a.axis.turns else AIRY  # hoses of a motor
-    fit = Fit(a.m, "leaks", [*[(LEAK, 0)] * 4, (airy, 0)], 1.0, 2.0, MOST, rare=True)
+    fit = Fit(a.m, "leaks", [*[(LEAK, 0)] * 4, (airy, 0)], 0.5, 1.0, MOST, rare=True)
     trapped = Fit(a.m, "trapped", [(foam, healthy)], 1.0, 4.0)
     for one, memory, size in ((fit, p.memory, 5), (trapped, AIR_MEMORY, 1)):
         one.adds(
@@ -173,7 +173,7 @@ def spool(a: Axis) -> dict[str, Told]:
     idle = whether(supply < STANDBY) * whether(supply > STOPPED)
     missing, passed = list[Scalar](), list[Scalar]()
     for k, area in enumerate((a.actuator.head_area, -a.actuator.rod_area)):
-        flow, drop, full = a.edge(k)
+        flow, drop, full, *_ = a.edge(k)
         by_speed = area * a.lever * a.readings[1] * (1 - a.faulty[1])
         moved, opened = ca.fmax(flow, by_speed), a.opened(k, a.least[k], -1)
         asked = whether(opened * full > RESTING * p.burst_margin)  # creep speed, at least
@@ -230,7 +230,7 @@ def bursts(a: Axis) -> dict[str, Told]:
         emptied = whether(a.shut > LONG) * whether(pressure < LOST) * (1 - a.compensated)
         excess = (1 + (EMPTIED - 1) * emptied) * (loss - margin) * counts
         # what comes through the edge into it, as open as the return edge says, and does not arrive
-        (returned, known), (_, drop, full) = a.return_edge(k), a.edge(k)
+        (returned, known), (_, drop, full, *_) = a.return_edge(k), a.edge(k)
         open_by = ca.fmin(returned / a.outlet(k), a.opened(k, a.most[k], 1))
         driven = whether(a.least[k] > p.closed_command) * known * whether(drop > LEAST_DROP)
         starved = (open_by * full / OUTLET - flow) * driven

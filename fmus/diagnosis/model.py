@@ -1,11 +1,12 @@
 """Diagnosis of a machine: its functions, and what they have in common.
 
-**Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter; unless
-the oil is cold, as a clogging indicator with a thermal lockout.
+**Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied: R in part of the filter,
+unless the oil is cold, as a clogging indicator with a thermal lockout; P_0 of a preload, so another one is a
+sensor that is wrong.
 **Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled, at `PUMP_FLOW`; not with
 compensated sections, where the pressure follows the load until the pump is at its largest stroke. A pressure
-that is another one, while the valves of several functions seem to be, is that of a wrong sensor. **Lag of
-all valves**, **air**: the mean of those of the functions. **Weighing**: weight.py.
+that is another one is that of a wrong sensor if all valves say so. **Lag of all valves**, **air**: the mean
+of those of the functions. **Weighing**: weight.py.
 
 It is sampled, as a control unit, and its outputs depend on its states alone. Signs: those of the controller.
 
@@ -28,7 +29,7 @@ from fmus.controller.arm import Arm
 from fmus.controller.gains import gains
 from fmus.diagnosis import losses, unknowns, valves, weight
 from fmus.diagnosis.estimates import FEWEST, SAMPLING, Fit, States, Told, either, judged, shown, whether
-from fmus.diagnosis.readings import Axis, outside
+from fmus.diagnosis.readings import PRESSURE, Axis, outside
 from fmus.diagnosis.unknowns import LINES, LITRE, Unknown, reference, signals_of
 from fmus.parameters import Number
 
@@ -38,8 +39,10 @@ PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
 PUMP_MEMORY = 600.0  # s: a pump wears over months, its pressure changes from stroke to stroke
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
 SUPPLY_OFF = 5e5  # Pa, from which a supply pressure is another one
+LASTING = 10.0  # s, of strokes, for which it is one: a pump that is short of flow recovers
 COMPARED = 100.0  # s, in which valves show whether it is that of a wrong sensor
-DELAY_OFF, AIR_OFF = 1e-6, 3e-3  # s, 1: what the lag of a valve or the air of a function is off
+# s, 1: what the lag of a valve is off by the manner of its operator, and the air of a function
+DELAY_OFF, AIR_OFF = 2.5e-3, 3e-3
 
 
 @dataclass(frozen=True)
@@ -96,11 +99,12 @@ class Diagnosis:
     def _pressures(self, m: States, axes: list[Axis], u: Any, p: Any, told: dict[str, Told]) -> None:
         """Of the lines over their flows."""
         cold = whether(u.oil_temperature > 0) * whether(u.oil_temperature < p.filter_temperature)  # 0: open
+        cold = m.lag("cold", cold, SAMPLING, "1: the oil is too cold for the return filter")
         constant = 1 - either(*(a.compensated for a in axes))  # the pump does not follow the load
         known, learned = reference("return_resistance", p) * FLOW / BAR, reference("pump_pressure", p)
         fits, late = dict[str, Fit](), dict[str, tuple[Scalar, Scalar]]()
         for n, way, counts, memory, priors, least, rough in (
-            ("tank", -1, 1 - cold, valves.SLOW_MEMORY, ((10, known), (10, 4.0)), 0.1, 0.5),
+            ("tank", -1, 1, valves.SLOW_MEMORY, ((10, known), (10, 4.0)), 0.1, 0.5),
             ("supply", 1, constant, PUMP_MEMORY, ((100, 0), (1000, learned / BAR)), 0.3, 3.0),
         ):
             flow = sum(ca.fmax(way * f, 0) for a in axes for f in a.flows)
@@ -111,31 +115,43 @@ class Diagnosis:
             fits[n].adds(weight, [([flow / FLOW, 1], pressure / BAR)], memory)
         size, off = (BAR / FLOW * v for v in fits["tank"].sizes[0])
         enough = whether(fits["tank"].samples > FEWEST)
-        told["return_resistance"] = size, off, judged(size - known * BAR / FLOW, off, p.return_limit, enough)
+        told["return_resistance"] = (
+            size,
+            off,
+            judged(size - known * BAR / FLOW, off, p.return_limit, enough * (1 - cold)),
+        )
+        level, off = (BAR * v for v in fits["tank"].sizes[1])
+        usual = reference("return_pressure", p)
+        state = judged(ca.fabs(level - usual), off, p.zero_limit, enough * whether(ca.fabs(usual) > 0))
+        told["return_pressure"] = level, off, ca.if_else(usual == 0, enough - 1, state)
         size, off = (BAR * v for v in fits["supply"].along(PUMP_FLOW / FLOW, 1))
         enough = whether(fits["supply"].samples > 3 * FEWEST) * whether(learned > 0)
         told["pump_pressure"] = size, off, judged(learned - size, off, p.pump_limit, enough)
-        self._other_supply(m, fits["supply"], late["supply"], learned, told)
+        usual = fits["supply"].along(late["supply"][0] / FLOW, 1)[0]
+        change = late["supply"][1] - BAR * usual + size - learned
+        change *= whether(learned > 0) * whether(fits["supply"].samples > FEWEST)
+        self._other_supply(m, axes, change, told)
 
-    def _other_supply(
-        self, m: States, pump: Fit, late: tuple[Scalar, Scalar], learned: Scalar, told: dict[str, Told]
-    ) -> None:
-        """A supply pressure that is another one, by which several valves seem to be others, is wrong.
+    def _other_supply(self, m: States, axes: list[Axis], change: Scalar, told: dict[str, Told]) -> None:
+        """A supply pressure that is another one [Pa] is that of a wrong sensor if valves seem to be others.
 
-        As long as it is another one the maps of valves are not told. The pump is, but not at once: until then
-        strokes have shown whether valves seem to be others.
-
-        late   flow and pressure
+        All of them by the same error of the pressure, which is the change or none: the limit is half of it.
+        As long as it is another one the maps of valves are not told. The pump is, but not at once: until
+        then strokes have shown what valves say.
         """
-        usual, _ = pump.along(late[0] / FLOW, 1)
-        changed = ca.fmax(ca.fabs(late[1] - BAR * usual), ca.fabs(told["pump_pressure"][0] - learned))
-        counts = whether(changed > SUPPLY_OFF) * whether(learned > 0) * whether(pump.samples > FEWEST)
+        counts = whether(ca.fabs(change) > SUPPLY_OFF)
         time = m.sum("supply_other", "Time for which the supply pressure is another one", 1, counts)
         other = whether(time > 0)
-        maps = {a.name: [f"{a.name}_{n}" for n in unknowns.MAP[:4]] for a in self.arm.axes}
-        count = sum(either(*(whether(told[n][2] > 0) for n in names)) for names in maps.values())
-        wrong = other * whether(count > 1)
-        hidden = {n: other for names in maps.values() for n in names}
+        fit = Fit(m, "supply_error", [(100 * BAR / PRESSURE, 0)], valves.ROUGH, 2 * valves.ROUGH)
+        weights, columns, rights = zip(*(a.compared for a in axes), strict=True)
+        rows = [([w * c], w * y) for w, c, y in zip(map(ca.sqrt, weights), columns, rights, strict=True)]
+        fit.adds(other / valves.WINDOW, rows, valves.SLOW_MEMORY, sum(weights))
+        ((size, off),) = fit.sizes
+        error, limit = PRESSURE * size * ca.sign(change), ca.fabs(change) / 2
+        wrong = whether(time > LASTING) * ca.fmax(
+            judged(error, PRESSURE * off, limit, whether(fit.samples > FEWEST)), 0
+        )
+        hidden = {f"{a.axis.name}_{n}": other for a in axes for n in unknowns.MAP[:4]}
         hidden["pump_pressure"] = either(wrong, other * whether(time < COMPARED))
         for n, hides in hidden.items():
             told[n] = *told[n][:2], ca.if_else(hides > 0, -1, told[n][2])

@@ -22,7 +22,7 @@ from fmus.components.spool_valve import opening
 from fmus.contract import Scalar
 from fmus.controller.arm import ControlledAxis
 from fmus.controller.valve import Actuator
-from fmus.diagnosis.estimates import QUICK, States, Told, either, shown, whether
+from fmus.diagnosis.estimates import QUICK, SAMPLING, States, Told, either, shown, whether
 from fmus.diagnosis.unknowns import EDGES, reference, signals_of
 from fmus.smooth import positive
 
@@ -37,6 +37,7 @@ NO_DROP = 1e9  # Pa, of a valve that fills nothing
 BLIND = 0.1  # s, for which flows are not known after a chamber was empty
 TRAVEL = 0.8  # V, command after a reversal from which a valve follows: 8 % of full command
 CLOSING = 0.1  # s, time constant with which a valve opens or closes at the latest: a slow pilot head, a bus
+STOPPED = 0.1  # s, for which the valve is closed when a stroke has ended: not within that of a tremor
 MARGIN = 0.25  # V, what a command may be off a healthy valve: the machine at another temperature
 LONGER = 1.5  # s, after which a chamber is at rest, and its arm as well
 LOWEST = -5e5  # Pa: a chamber is empty at -1 bar; zeros are off by 3 bar
@@ -60,10 +61,13 @@ class Axis:
     lever    dx/dq of its piston
     radial   dr/dq of the tip, r its radius; 0 of the column [m or 1]
     lines, speeds   1: the readings of both lines, those of all speeds, are usable
+    stopped  1: a stroke has just ended
+    compared   weight and equation of an error of the supply pressure, over `PRESSURE`
     margin   least drop of the supply pressure to a chamber that is filled, of all functions [Pa]
     """
 
     lines: Scalar = 1
+    compared: tuple[Scalar, Scalar, Scalar] = (0, 0, 0)
     speeds: Scalar = 1
     margin: Scalar = NO_DROP
     least_drop: Scalar = NO_DROP
@@ -119,17 +123,19 @@ class Axis:
         self.most, self.least, self.full = list[Scalar](), list[Scalar](), list[Scalar]()
         for k, (sign, end, pressure) in enumerate(zip((1, -1), ENDS, self.pressures, strict=True)):
             now = sign * self.command
-            most = m.state(f"most_{k}", f"Largest command that fills it, of the last time, {end}", "V")
-            m.moves(f"most_{k}", (now - most) / ca.if_else(now > most, QUICK, CLOSING))
-            least = m.state(f"least_{k}", f"Least command that fills it, of the last time, {end}", "V")
-            m.moves(f"least_{k}", (now - least) / ca.if_else(now < least, QUICK, CLOSING))
+            for held, name, which, way in (
+                (self.most, "most", "Largest", 1),
+                (self.least, "least", "Least", -1),
+            ):
+                text = f"{which} command that fills it, of the last time, {end}"
+                held.append(m.state(f"{name}_{k}", text, "V"))
+                change = now - held[k]
+                m.moves(f"{name}_{k}", change / ca.if_else(way * change > 0, QUICK, CLOSING))
             ends = whether(pressure < p.zero_limit), whether(pressure > END * p.highest_pressure)
             seen = 1 - either(*ends, relieved)
             known = m.sum(f"known_{k}", f"Time for which its oil is known, {end}", 1, seen)
-            self.most.append(most)
-            self.least.append(least)
             self.full.append(whether(known > BLIND) * seen)
-            drop = ca.if_else(most > p.closed_command, self.u.supply_pressure - pressure, NO_DROP)
+            drop = ca.if_else(self.most[k] > p.closed_command, self.u.supply_pressure - pressure, NO_DROP)
             self.least_drop = ca.fmin(self.least_drop, drop)
 
     def completed(self, lines: Scalar, speeds: Scalar, margin: Scalar) -> None:
@@ -139,22 +145,33 @@ class Axis:
         self.sound = lines * (1 - either(angle, head, rod)) * self.connected
         self.usable = m.lag("usable", self.sound, QUICK, "1: the readings are usable", zero=True)
         self.shut = m.sum("shut", "Time for which the valve is closed", 1, self.closed * self.sound)
+        self.stopped = whether(ca.fabs(self.shut - STOPPED) < SAMPLING / 2)
 
-    def edge(self, k: int) -> tuple[Scalar, Scalar, Scalar]:
-        """Of the chamber that is filled: flow, drop over the edge, and flow at full opening [m3/s].
+    def edge(self, k: int) -> tuple[Scalar, Scalar, Scalar, Scalar, Scalar]:
+        """Of the chamber that is filled: flow, drop over the edge, flow at full opening [m3/s].
+
+        The last two are the drop of the whole hose, and `PRESSURE`, over the drop of the edge itself; 0 of
+        compensated sections, whose flow does not depend on it.
 
         Compensated sections share a supply that is not enough for all, so each has the least drop of all.
         """
         a, flow = self.actuator, self.flows[k]
         drop = self.u.supply_pressure - self.pressures[k]
         drop = ca.if_else(self.compensated > 0, ca.fmin(drop, self.margin), drop)
-        inside = positive(drop - a.hose.drop(flow), SMALL)
-        return flow, drop, ca.if_else(self.compensated > 0, a.section_flows[k], a.gain * ca.sqrt(inside))
+        inside, hose = self._without_hose(drop, flow)
+        full = ca.if_else(self.compensated > 0, a.section_flows[k], a.gain * ca.sqrt(inside))
+        plain = (1 - self.compensated) / inside
+        return flow, drop, full, plain * hose, plain * PRESSURE
+
+    def _without_hose(self, drop: Scalar, flow: Scalar) -> tuple[Scalar, Scalar]:
+        """Drop over the edge, without that of the hose between it and the sensor; drop of the hose [Pa]."""
+        hose = self.actuator.hose.drop(flow)
+        return positive(drop - self.reference("hose_friction") * hose, SMALL), hose
 
     def return_edge(self, k: int) -> tuple[Scalar, Scalar]:
         """Opening of the return edge while chamber k is filled, and whether it is known."""
         drop, flow = self.pressures[1 - k] - self.u.tank_pressure, -self.flows[1 - k]
-        full = self.actuator.gain * ca.sqrt(positive(drop - self.actuator.hose.drop(flow), SMALL))
+        full = self.actuator.gain * ca.sqrt(self._without_hose(drop, flow)[0])
         return flow / full, whether(drop > LEAST_DROP) * self.full[1 - k] * (1 - self.compensated)
 
     def opened(self, k: int, command: Scalar, sign: int) -> Scalar:

@@ -14,7 +14,15 @@ from fmus.parameters import Number, values
 LITRE = 1 / 6e4  # L/min in m3/s
 LINES = {"supply_pressure": "Pressure of the supply line", "tank_pressure": "Pressure of the return line"}
 FRICTION = ("dry_friction", "damping", "zero_force")  # of a cylinder
-MAP = ("gain_up", "dead_band_up", "gain_down", "dead_band_down", "half_hysteresis", "valve_delay")
+MAP = (
+    "gain_up",
+    "dead_band_up",
+    "gain_down",
+    "dead_band_down",
+    "half_hysteresis",
+    "hose_friction",
+    "valve_delay",
+)
 EDGES = ("return_edge_up", "return_edge_down")
 
 

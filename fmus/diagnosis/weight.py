@@ -50,6 +50,7 @@ STROKE = 6.0  # lags, for which an error of the force lasts
 END = 0.01  # m, from the end of a stroke
 NEVER = 1e-9  # 1/s, a weight of nothing
 ERROR = 5.0  # kg, what masses that are off add to a deviation: 1 % of the arm, after the tare
+MEMORY = 1.5  # s: a period of a head that swings, whose force has half of it; a change fades faster
 TARE_MEMORY = 300.0  # s, all of the healthy work from which it is learned
 BALANCE_MEMORY = 30.0  # s, some strokes of the swing, which tells a slope from a sensor
 
@@ -170,7 +171,7 @@ def weighed(
     square, along = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2), (ca.cos(slewing), ca.sin(slewing))
     length = ca.sumsqr(h) + 1e-9
     of_load = Fit(m, "payload", [(20.0, 0.0)], NOISE / TORQUE, 0.1)
-    of_force = Fit(m, "weighing", [(20, 0), (p.slope, 0), (p.slope, 0)], 0.01, 0.5)
+    of_force = Fit(m, "weighing", [(20, 0), (p.slope, 0), (p.slope, 0)], 0.01, 0.5, 0.5, weighed=True)
     ((size, off),) = of_load.sizes
     (force, off_force), *slope = of_force.sizes
     off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)
@@ -184,8 +185,8 @@ def weighed(
     calm = without_horizontal(table, h, square)
     known = sum(c**2 for (c,), _ in calm) + 1e-9
     change = sum(c * y for (c,), y in calm) / known - size
-    fading = (1 + change**2 / (CHANGED**2 + (NOISE / TORQUE) ** 2 / known)) / p.weighing_memory
-    memory = 1 / ca.fmin(ca.if_else(count > 0, fading, 1 / p.weighing_memory), 1 / LAG)
+    fading = (1 + change**2 / (CHANGED**2 + (NOISE / TORQUE) ** 2 / known)) / MEMORY
+    memory = 1 / ca.fmin(ca.if_else(count > 0, fading, 1 / MEMORY), 1 / LAG)
     any_counts = whether(count > 0)
     of_load.adds(any_counts / LAG + NEVER, calm, memory, any_counts)
     # the horizontal force, by what the payload leaves; one cylinder alone cannot tell it from a payload
