@@ -169,9 +169,12 @@ def energy(
     unreliable = [f"{r.label}: {told}" for r in chosen if r.metadata for told in r.metadata.unreliable]
     shown = report(found, unreliable)
     print(shown.json() if json else shown.text())
-    if out:
-        print(f"\npicture: {_drawn(figure(found), out)}")
-    elif not json:
+    picture = _drawn(figure(found), out) if out else None
+    if json:
+        return
+    if picture:
+        print(f"\npicture: {picture}")
+    else:
         page, numbers = shown.write(BUILD / "energy.html")
         print(f"\npage: {page}\nnumbers: {numbers}")
 

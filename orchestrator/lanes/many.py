@@ -114,7 +114,8 @@ class Runs:
     def copied(self, system: System) -> System:
         """A system of the same FMUs, with the copies."""
         components = system.components.items()
-        sources = {n: Location(self._copies[c.source]) if c.source else None for n, c in components}
+        copies = {source: Location(copy) for source, copy in self._copies.items()}
+        sources = {n: copies.get(c.source, c.source) if c.source else None for n, c in components}
         return replace(system, components={n: replace(c, source=sources[n]) for n, c in components})
 
     def stop(self) -> None:

@@ -116,6 +116,7 @@ class Comparison:
     against     label -> comparison of that run with the reference, signal by signal
     signals     the signals to show
     notes       remarks on the comparison
+    requested   whether the signals to show were given
     """
 
     runs: tuple[Run, ...]
@@ -124,6 +125,7 @@ class Comparison:
     signals: tuple[str, ...]
     notes: tuple[str, ...] = ()
     experiments: tuple[str, ...] = ()
+    requested: bool = False
 
     @property
     def unreliable(self) -> tuple[str, ...]:
@@ -220,7 +222,7 @@ def compare(
     signals      patterns of the signals to show; default: speeds, pressures and angles that are outputs
     start, stop  time window [s]; default: the common time of both runs
     """
-    signals = (signals,) if isinstance(signals, str) else signals
+    signals = (signals,) if isinstance(signals, str) else tuple(signals)
     runs = gather(sources, against)
     requested = str(against) if isinstance(sources, Mapping) else str(Path(against or ""))
     named = (run for run in runs if requested in (run.label, run.file))
@@ -237,6 +239,7 @@ def compare(
         _chosen(runs, common, signals),
         _notes(runs, common),
         tuple(text for run in runs if run is not reference and (text := _other_experiment(reference, run))),
+        bool(signals),
     )
 
 

@@ -62,7 +62,8 @@ def drawn_signals(comparison: Comparison) -> list[str]:
     groups = grouped(sorted(rows, key=lambda row: -row.metrics.maximum_error), lambda row: row.group)
     most = MOST_OF_QUANTITY if len(groups) > 1 else MOST_PANELS
     shown = {name for of in groups.values() for name in list(dict.fromkeys(r.signal for r in of))[:most]}
-    worst = [found[1].signal] if (found := _worst_of_all(comparison)) else []
+    first = [found[1].signal] if (found := _worst_of_all(comparison)) else []
+    worst = [name for name in first if name in chosen or not comparison.requested]
     return list(dict.fromkeys([*worst, *(n for n in comparison.signals if n in shown)]))[:MOST_PANELS]
 
 

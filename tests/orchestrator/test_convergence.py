@@ -223,6 +223,15 @@ def test_without_a_reference_the_finest_hermite_run_takes_its_place(capsys):
 
 
 @pytest.mark.usefixtures("folder")
+def test_settings_that_are_all_unstable_have_tables_and_files(capsys):
+    """The reasons, and no picture of nothing."""
+    # jacobi of order 2 with 2 rad of the fast oscillation per step
+    assert main(["convergence", "two.ssp", "--steps", "0.06", "--masters", "jacobi order 2"]) == 0
+    assert "unstable at 60 ms" in capsys.readouterr().out
+    assert [run["stable"] for run in numbers()["runs"]] == [False]
+
+
+@pytest.mark.usefixtures("folder")
 @table(__file__, "mistakes", "options, message")
 def test_mistakes_are_one_line(capsys, options, message):
     """Exit status 2, and a line that names what was expected and found."""

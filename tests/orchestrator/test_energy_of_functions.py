@@ -62,7 +62,8 @@ def test_runs_stand_side_by_side(tmp_path, monkeypatch, capsys):
     assert main(["energy", "a.csv", "--out", "e.png"]) == 0
     assert (tmp_path / "e.png").read_bytes().startswith(b"\x89PNG")
     capsys.readouterr()
-    assert main(["energy", "a.csv", "--stop", "1", "--json"]) == 0
+    assert main(["energy", "a.csv", "--stop", "1", "--json", "--out", "a.png"]) == 0
+    assert (tmp_path / "a.png").stat().st_size > 0
     data = json.loads(capsys.readouterr().out)
     assert list(data) == ["title", "verdict", "passed", "runs", "unreliable"]
     assert data["verdict"] == "a: 55 kJ, 4.55 % to the load"

@@ -7,6 +7,7 @@ setting.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,8 @@ def report(study: ConvergenceStudy) -> Report:
     cost = table(study, "wall time per simulated second [ms]", lambda run: f"{1e3 * run.cost:.2g}")
     found = [*(error_table(study, group) for group in groups), cost]
     drawn = {"Error over step": False, "Error over wall time": True}
-    figures = [Figure(figure(study, over_cost=cost), name, heading=name) for name, cost in drawn.items()]
+    made = {name: figure(study, over_cost=cost) for name, cost in drawn.items()}
+    figures = [Figure(f, name, heading=name) for name, f in made.items() if any(p.lines for p in f.panels)]
     data = {
         "reference": study.reference.heading,
         "groups": groups,
@@ -45,7 +47,7 @@ def report(study: ConvergenceStudy) -> Report:
             {
                 **_row(study, run),
                 "walls [s]": run.walls,
-                "errors": {row.signal: row.metrics for row in run.errors.rows} if run.errors else {},
+                "errors": {row.signal: {"unit": row.unit, **asdict(row.metrics)} for row in run.rows},
             }
             for run in study.runs
         ],

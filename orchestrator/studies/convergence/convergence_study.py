@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import combinations
 from math import isfinite, log
 from pathlib import Path
 from statistics import median
@@ -29,7 +30,7 @@ from orchestrator.base.units import quantity
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME, Trace, rounding
-from orchestrator.engine.arguments import CaseArguments, RunArguments
+from orchestrator.engine.arguments import CaseArguments
 from orchestrator.engine.job import Job
 from orchestrator.engine.result import widest_of_unit
 from orchestrator.engine.run import run
@@ -143,6 +144,10 @@ def as_reference(
     chosen = {g: groups[g] for g in quantities if g in groups} or groups
     if patterns:
         chosen = {pattern: _matching(pattern, recording) for pattern in patterns}
+        for first, second in combinations(chosen, 2):
+            if common := {*chosen[first]} & {*chosen[second]}:
+                got = f"expected patterns without common signals, got {min(common)} in both"
+                raise Problem(f"signals {first} and {second}: {got}")
     group_of = {name: group for group, names in reversed(chosen.items()) for name in names}
     ranges = {name: span(recording[name]) for names in chosen.values() for name in names}
     widest = widest_of_unit(ranges, recording.units)
@@ -269,9 +274,14 @@ class SettingRun:
         return median(self.walls) / self.simulated if self.walls and self.simulated else float("nan")
 
     @property
+    def rows(self) -> Sequence[ValidatedSignal]:
+        """The errors; empty if the run ended early or was refused."""
+        return self.errors.rows if self.errors else ()
+
+    @property
     def stable(self) -> bool:
         """The run came to the end, and no error was ever larger than the range of its signal."""
-        found = [row.metrics for row in self.errors.rows] if self.errors else []
+        found = [row.metrics for row in self.rows]
         return bool(found) and all(m.maximum_error < UNSTABLE_ERROR * m.normalised_by for m in found)
 
     def worst(self, group: str) -> ValidatedSignal | None:
@@ -336,14 +346,14 @@ def run_settings(
     rates: Sequence[str] | None = None,
     scenario: ScenarioSource = None,
     done: list[SettingRun] | None = None,
-    **options: Unpack[RunArguments],
+    **options: Unpack[CaseArguments],
 ) -> list[SettingRun]:
     """Run every setting at every step, one after the other, so that their times can be compared.
 
     repeats  how often a stable run is repeated; its wall time is the median
     rates    inputs whose connections a plain setting leaves out; default: those of rate ports
     done     gets the runs as they end
-    options  of `run`, such as start, stop
+    options  of `run`: what is run, such as start, stop
 
     A plain setting without such inputs would equal that of order 0, and is left out.
     """
@@ -352,7 +362,8 @@ def run_settings(
     _check(reference, system, start, stop, steps)
     rates = rate_inputs(system) if rates is None else tuple(rates)
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference]
-    given: dict[str, Any] = {**options, "record": list(dict.fromkeys(ports))}
+    own = checked(CaseArguments, options, "run_settings")
+    given: dict[str, Any] = {**own, "record": list(dict.fromkeys(ports))}
     done, scenario = [] if done is None else done, read_scenario(scenario)
     chosen = [setting for setting in settings if rates or not setting.without_rates]
     plans = [SettingRun(s, step) for s in chosen for step in sorted(steps)[: 1 if s.adaptive else None]]
@@ -444,7 +455,8 @@ def convergence(
         resting = f"{RESTING}: {solution.metadata[RESTING]}" if RESTING in solution.metadata else ""
         study = ConvergenceStudy(solution, tuple(runs), tuple(filter(None, (note, resting, plain_note))))
         if not all(run.refusal for run in runs):
-            tell("\n".join([report(study).text(), "", *map(str, write(study, out))]))
+            tell(report(study).text() + "\n")
+            tell("\n".join(map(str, write(study, out))))
     return study
 
 
