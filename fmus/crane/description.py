@@ -140,16 +140,17 @@ def _stop_keys(kind: str) -> Keys:
 
 
 JOINTS, STOPS = ({kind: keys(kind) for kind in UNITS} for keys in (_joint_keys, _stop_keys))
-FOLLOWED = {
-    kind: {
+FOLLOWED = {  # kinds of a joint and of the one that it follows
+    (kind, leader): {
         "ratio": _key("ratio", "1", "Motion of the {} over that of the joint that it follows", 1.0),
         "offset": _key("offset", unit, "Coordinate of the {} where the joint that it follows is at 0"),
         **{
-            n: _key(f"follows_{n}", unit, f"Coordinate of the joint that the {{}} follows, {text}", 0.0)
+            n: _key(f"follows_{n}", of_leader, f"Coordinate of the joint that the {{}} follows, {text}")
             for n, text in (("from", "from which on it moves"), ("to", "up to which it moves"))
         },
     }
     for kind, (unit, _) in UNITS.items()
+    for leader, (of_leader, _) in UNITS.items()
 }
 DRIVES: Mapping[str, Keys] = {
     "cylinder": {
@@ -209,7 +210,7 @@ INERTIA = {
 
 def _of_joint(kind: str) -> dict[str, Quantity]:
     """Parameters of a joint in the manipulator."""
-    tables = (JOINTS[kind], STOPS[kind], DRIVES["four_bar"], FOLLOWED[kind])
+    tables = (JOINTS[kind], STOPS[kind], DRIVES["four_bar"], FOLLOWED[kind, kind])
     keys = [key for table in tables for key in table.values()]
     keys += [in_plane(key, axis) for key in DRIVES["cylinder"].values() for axis in PLANES]
     return INERTIA | {n: q for key in keys for n, q in key.items() if n not in (*DECLARED, "count")}
@@ -300,7 +301,7 @@ def keys_of(table: str, addition: type[Addition]) -> Keys:
 # other keys of tables, and of a joint
 WORDS = {"payload": ("on", "along"), "supply": (*OF_SUPPLY,), "datasheet": ("loads",)}
 WORDS |= {"hydraulics": ("part", "counterbalance"), "four_bar": ("assembly",)}
-OTHERS = (*FOLLOWED["revolute"], "inertia", "stop", *ADDITIONS, "shape", "source", "note")
+OTHERS = (*FOLLOWED["revolute", "revolute"], "inertia", "stop", *ADDITIONS, "shape", "source", "note")
 WORD, PART = "[a-z][a-z0-9]*", "[a-z][a-z0-9_]*"
 DEFAULT = "default"  # note of a number that the file does not have
 MEANT = {"m": ("mm", "cm"), "rad": ("deg",)}  # units of a number that is out of range without one
@@ -396,13 +397,13 @@ class JointDescription:
     @property
     def sequenced(self) -> bool:
         """Whether it moves in a part of the way of the joint that it follows."""
-        return any(self.numbers.get(f"follows_{n}", NONE).value for n in ("from", "to"))
+        return any(f"follows_{n}" in self.numbers for n in ("from", "to"))
 
     def following(self, x: float) -> float:
         """Its coordinate at that of the joint that it follows; corners of its way are not rounded."""
-        low, high = (self[f"follows_{n}"] for n in ("from", "to"))
-        x = min(x, high) if high else x
-        return self["ratio"] * (max(x - low, 0.0) if low else x) + self["offset"]
+        way = min(x, self["follows_to"]) if "follows_to" in self.numbers else x
+        way = max(way - self["follows_from"], 0.0) if "follows_from" in self.numbers else way
+        return self["ratio"] * way + self["offset"]
 
     def vector(self, name: str, axes: str = "xyz") -> Array:
         """Some of its numbers, along axes, shape (n,)."""
@@ -493,7 +494,7 @@ class _Reader:
     ) -> str:
         """One of some words; the first one after a mistake."""
         value = given.get(key, default)
-        if value in choices or (key not in given and value is not None):
+        if (isinstance(value, str) and value in choices) or (key not in given and value is not None):
             return str(value)
         hint = suggest(value, choices) if isinstance(value, str) and value else ""
         got = repr(value) if key in given else "nothing"
@@ -578,7 +579,9 @@ def read(path: Path, data: bytes | None = None) -> CraneDescription:
     density = numbers["oil"]["density"].value
     if len(names) > MOST_JOINTS:
         raise Problem(f"{path}: expected at most {MOST_JOINTS} joints, got {len(names)}")
-    joints = [_joint(reader, n, content[n], names[:k], starts, density) for k, n in enumerate(names)]
+    joints = list[JointDescription]()
+    for n in names:
+        joints.append(_joint(reader, n, content[n], {j.name: j for j in joints}, starts, density))
     reader.unknown("start", starts, names)
     on = reader.one_of("payload", tables["payload"], "on", names)
     along = reader.one_of("payload", tables["payload"], "along", ("x", "y", "z"), "y")
@@ -624,7 +627,12 @@ def _with_origin(reader: _Reader, table: str, given: Given) -> _Reader:
 
 
 def _joint(
-    reader: _Reader, name: str, given: Given, before: Sequence[str], starts: Given, density: float
+    reader: _Reader,
+    name: str,
+    given: Given,
+    before: Mapping[str, JointDescription],
+    starts: Given,
+    density: float,
 ) -> JointDescription:
     if not re.fullmatch(WORD, name):
         expected = "a joint name of one word of small letters and digits: its signals are such as"
@@ -635,7 +643,7 @@ def _joint(
         "joint": (UNITS, "revolute"),
         "drive": (USED, "none"),
         "axis": (AXES, None),
-        "parent": ((*before, "base"), before[-1] if before else "base"),
+        "parent": ((*before, "base"), next(reversed(before), "base")),
         "follows": (before, ""),
     }
     kind, drive, axis, parent, follows = (reader.one_of(name, given, n, *of) for n, of in words.items())
@@ -652,13 +660,19 @@ def _joint(
         shape=_shape(reader, name, given.get("shape")),
         additions=tuple(n for n in ADDITIONS if n in given),
     )
+    leader = before[follows] if follows else j
+    followed = FOLLOWED[kind, leader.kind]
+    if leader.follows:
+        reader.wrong(
+            name, f"follows: expected a joint that follows none, such as {leader.follows}, got {follows!r}"
+        )
     if follows and j.driven:
         reader.wrong(name, f"drive: expected none of a joint that follows {follows}, got {drive!r}")
     if not j.revolute and (j.motor or j.four_bar):
         reader.wrong(name, f"drive: expected cylinder or none of a prismatic joint, got {drive!r}")
     if j.four_bar and axis != "-y":
         reader.wrong(name, f'axis: expected "-y" of a joint with a four-bar linkage, got {axis!r}')
-    for n in FOLLOWED[kind] if not follows else ("friction",):
+    for n in followed if not follows else ("friction",):
         if n in given:
             other = "none of a joint that follows another one" if follows else "it beside follows only"
             reader.wrong(name, f"{n}: expected {other}, got {given[n]!r}")
@@ -678,8 +692,10 @@ def _joint(
         left_out = UNUSED.get(drive if j.revolute else "telescope", {}).get(table, ())
         keys = {n: in_plane(key, axis) for n, key in DRIVES[table].items() if n not in left_out}
         numbers |= reader.numbers(f"{name}.{table}", given.get(table, {}), keys, *WORDS.get(table, ()))
-    numbers |= reader.numbers(name, {n: x for n, x in given.items() if n in FOLLOWED[kind]}, FOLLOWED[kind])
-    if "to" in given and numbers["follows_to"].value <= numbers["follows_from"].value:
+    ends = [n for n in ("from", "to") if n in given]
+    keys = {n: key for n, key in followed.items() if n in ("ratio", "offset", *ends)}
+    numbers |= reader.numbers(name, {n: x for n, x in given.items() if n in keys}, keys)
+    if len(ends) == 2 and numbers["follows_to"].value <= numbers["follows_from"].value:
         reader.wrong(name, f"to: expected more than from, got {given['to']!r}")
     if j.four_bar:
         linkage, choices = given.get("four_bar", {}), get_args(Assembly)
