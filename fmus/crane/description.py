@@ -30,6 +30,7 @@ from fmus.components.chain import Axis
 from fmus.components.chamber import BulkModulus, Liquid
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import HoseSize
+from fmus.components.opening_curve import EDGES
 from fmus.components.spool_valve import Valve
 from fmus.contract import Quantity, quantities
 from fmus.drives.motor import MotorSize
@@ -391,6 +392,13 @@ class JointDescription:
         """Whether its cylinder does so over a four-bar linkage."""
         return "four_bar" in USED[self.drive]
 
+    @property
+    def edges(self) -> dict[str, Number]:
+        """Areas of the edges of its valve: those that have none of their own have that of the valve."""
+        own = {"at": "head_return_area", "pb": "rod_valve_area", "bt": "rod_return_area"}
+        found = {edge: self.numbers.get(own.get(edge, ""), NONE) for edge in EDGES}
+        return {edge: x if x.value else self.numbers["valve_area"] for edge, x in found.items()}
+
     def __getitem__(self, name: str) -> float:
         return self.numbers[name].value
 
@@ -541,8 +549,9 @@ class _Reader:
         found = [self.quantity(table, key, x, q.unit) for x in entries]
         low = -math.inf if q.minimum is None else q.minimum
         high = math.inf if q.maximum is None else q.maximum
-        for x, given in zip(found, entries, strict=True):
+        for k, (x, given) in enumerate(zip(found, entries, strict=True)):
             if x < low or x > high:
+                found[k] = math.nan
                 units = () if isinstance(given, str) else MEANT.get(q.unit, ())
                 meant = [u for u in units if low <= x * parse_unit(u).factor <= high]
                 hint = f'; did you mean "{x:g} {meant[0]}"?' if meant else ""
@@ -621,7 +630,7 @@ def new(path: Path) -> str:
 def _with_origin(reader: _Reader, table: str, given: Given) -> _Reader:
     """The reader with source and note of a table."""
     source, note = given.get("source", reader.source), given.get("note", reader.note)
-    if source not in SOURCES:
+    if not (isinstance(source, str) and source in SOURCES):
         reader.wrong(table, f"source: expected one of {', '.join(SOURCES)}, got {source!r}")
     return replace(reader, source=str(source), note=str(note))
 
@@ -643,7 +652,7 @@ def _joint(
         "joint": (UNITS, "revolute"),
         "drive": (USED, "none"),
         "axis": (AXES, None),
-        "parent": ((*before, "base"), next(reversed(before), "base")),
+        "parent": ((*before, "base"), next(reversed([*before]), "base")),
         "follows": (before, ""),
     }
     kind, drive, axis, parent, follows = (reader.one_of(name, given, n, *of) for n, of in words.items())
@@ -744,7 +753,7 @@ def _together(reader: _Reader, name: str, numbers: dict[str, Number]) -> dict[st
     if "count" not in numbers:
         return {}
     count = numbers.pop("count").value
-    if count != round(count):
+    if count % 1 > 0:
         reader.wrong(f"{name}.cylinder", f"count: expected a whole number, got {count:g}")
     if count == 1:
         return {}
@@ -771,19 +780,23 @@ def _shape(reader: _Reader, name: str, value: Any) -> Path | None:
 def _rated(
     reader: _Reader, where: str, given: Given, read: Mapping[str, Number], density: float
 ) -> dict[str, Number]:
-    """The area of a valve whose flow at a pressure drop over one edge is given: eq. (2)."""
+    """The area of a valve whose flow at a pressure drop over one edge is given: eq. (2).
+
+    Also of the edge to the rod side; beside `valve`, `rod_flow` is that of a compensated section.
+    """
     if "valve" in given and "flow" in given:
         reader.wrong(where, f"flow: expected none beside valve, got {given['flow']!r}")
-    if not read["rated_flow"].value > 0:
-        return {}
     coefficient = numbers_of(BOOM_STICK)["parameters"]["valve_discharge_coefficient"].value
-    area = read["rated_flow"].value / (coefficient * math.sqrt(2 * read["rated_drop"].value / density))
-    found = {
-        "valve_area": Number(area, "m2", "derived", "of its rated flow at a pressure drop over one edge")
-    }
-    if read.get("rod_rated_flow", NONE).value and not read["rod_valve_area"].value:
-        share = read["rod_rated_flow"].value / read["rated_flow"].value
-        found["rod_valve_area"] = replace(found["valve_area"], value=share * area)
+    rated, found = read["rated_flow"].value > 0, dict[str, Number]()
+    drop = read["rated_drop"].value if rated else COMPENSATED
+    flows = {"valve_area": read["rated_flow"]}
+    if "rod_valve_area" in read and not read["rod_valve_area"].value:
+        flows["rod_valve_area"] = read["rod_rated_flow"]
+    note = "of its rated flow at a pressure drop over one edge" if rated else "of rod_flow at a compensator"
+    for name, flow in flows.items():
+        if flow.value > 0:
+            area = flow.value / (coefficient * math.sqrt(2 * drop / density))
+            found[name] = Number(area, "m2", "derived", note)
     return found
 
 
