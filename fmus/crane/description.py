@@ -591,6 +591,8 @@ def read(path: Path, data: bytes | None = None) -> CraneDescription:
     joints = list[JointDescription]()
     for n in names:
         joints.append(_joint(reader, n, content[n], {j.name: j for j in joints}, starts, density))
+    if tables["counterbalance"] and not any(j.cylinder and j.held for j in joints):
+        reader.wrong("counterbalance", "expected a cylinder with such a valve, got none")
     reader.unknown("start", starts, names)
     on = reader.one_of("payload", tables["payload"], "on", names)
     along = reader.one_of("payload", tables["payload"], "along", ("x", "y", "z"), "y")
@@ -691,11 +693,15 @@ def _joint(
         reader.wrong(name, "stop: expected none of a joint that follows another one or has a cylinder")
     known = ADDITIONS if j.cylinder else OF_MOTOR if j.motor else {}
     for n in (n for n in j.additions if n not in known):
-        reader.wrong(name, f"{n}: expected a joint with a cylinder, got drive {drive!r}")
+        other = " or a motor" * (n in OF_MOTOR)
+        reader.wrong(name, f"{n}: expected a joint with a cylinder{other}, got drive {drive!r}")
     numbers = reader.numbers(name, given, JOINTS[kind], *words, *OTHERS, *USED[drive])
     tables = {"stop": STOPS[kind]} | {n: keys_of(n, a) for n, a in known.items()}
     for table in (n for n in tables if n in given):
         numbers |= reader.numbers(f"{name}.{table}", given[table], tables[table])
+    for n in ("pressure", "gain"):
+        if n in given.get("reliefs", {}) and (x := numbers.get(f"reliefs_{n}")) and x.value == 0:
+            reader.wrong(f"{name}.reliefs", f"{n}: expected more than 0, got {given['reliefs'][n]!r}")
     numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
     for table in USED[drive]:
         left_out = UNUSED.get(drive if j.revolute else "telescope", {}).get(table, ())
@@ -710,24 +716,6 @@ def _joint(
         linkage, choices = given.get("four_bar", {}), get_args(Assembly)
         assembly = reader.one_of(f"{name}.four_bar", linkage, "assembly", choices)
         j = replace(j, assembly=cast(Assembly, assembly))
-    if j.driven:
-        where, hydraulics = f"{name}.hydraulics", given.get("hydraulics", {})
-        numbers |= _rated(reader, where, hydraulics, numbers, density)
-        numbers |= _by_size(numbers, density)
-        part = hydraulics.get("part", j.part)
-        if not isinstance(part, str) or not re.fullmatch(PART, part):
-            reader.wrong(where, f"part: expected a name of small letters, digits and _, got {part!r}")
-        held = reader.one_of(where, hydraulics, "counterbalance", HELD if j.cylinder else ("both",), "both")
-        j = replace(j, part=str(part), held=HELD[held])
-    if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
-        rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
-        expected = f"thinner than the bore of {bore:g} mm"
-        reader.wrong(f"{name}.cylinder", f"rod: expected {expected}, got {rod:g} mm")
-    if "closed_length" in numbers:
-        closed, stroke, bore = (1e3 * numbers[n].value for n in ("closed_length", "stroke", "bore"))
-        if closed < stroke + bore:
-            expected = f"at least {stroke + bore:g} mm, the stroke and a bore for piston, gland and eyes"
-            reader.wrong(f"{name}.cylinder", f"closed: expected {expected}, got {closed:g} mm")
     if "stop_at" in numbers:
         low, high = (numbers[n].value for n in ("stop_from", "stop_at"))
         if "from" not in given["stop"]:
@@ -740,6 +728,28 @@ def _joint(
             reader.wrong(
                 "start", f"{name}: expected between the end stops of the joint, got {starts.get(name, 0)!r}"
             )
+    if j.driven:
+        where, hydraulics = f"{name}.hydraulics", given.get("hydraulics", {})
+        numbers |= _rated(reader, where, hydraulics, numbers, density)
+        numbers |= _by_size(numbers, density)
+        part = hydraulics.get("part", j.part)
+        if not isinstance(part, str) or not re.fullmatch(PART, part):
+            reader.wrong(where, f"part: expected a name of small letters, digits and _, got {part!r}")
+        held = reader.one_of(where, hydraulics, "counterbalance", HELD if j.cylinder else ("both",), "both")
+        j = replace(j, part=str(part), held=HELD[held])
+        for side in HELD["both"] if j.cylinder else ():
+            if (key := f"{side}_pilot_ratio") in hydraulics and side not in j.held:
+                expected = f"none without a counterbalance valve at the {side} side"
+                reader.wrong(where, f"{key}: expected {expected}, got {hydraulics[key]!r}")
+    if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
+        rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
+        expected = f"thinner than the bore of {bore:g} mm"
+        reader.wrong(f"{name}.cylinder", f"rod: expected {expected}, got {rod:g} mm")
+    if "closed_length" in numbers:
+        closed, stroke, bore = (1e3 * numbers[n].value for n in ("closed_length", "stroke", "bore"))
+        if closed < stroke + bore:
+            expected = f"at least {stroke + bore:g} mm, the stroke and a bore for piston, gland and eyes"
+            reader.wrong(f"{name}.cylinder", f"closed: expected {expected}, got {closed:g} mm")
     return replace(j, numbers=numbers | _together(reader, name, numbers))
 
 
@@ -805,7 +815,7 @@ def _by_size(read: Mapping[str, Number], density: float) -> dict[str, Number]:
 
     The dead volume follows the swept one, friction of the piston the square of its bore, the volume of a
     motor its displacement, leakage the area of the valve, relief valves the flow of the section; the hose has
-    5 m/s at it.
+    5 m/s at it. A motor has at most half of what it displaces between its end stops: a rack in its middle.
     """
     of, size = {n: x.value for n, x in read.items()}, numbers_of(BOOM_STICK)["parameters"]
     paper = {n: x.value for n, x in {**numbers_of(SWING)["parameters"], **size}.items()}
@@ -821,7 +831,9 @@ def _by_size(read: Mapping[str, Number], density: float) -> dict[str, Number]:
         shipped = numbers_of(BOOM_VARIANTS["compensated"])["parameters"]["port_relief_gain"].value
         found["reliefs_gain"] = shipped * flow / SECTION
     if "motor_volume" in of:
-        found["motor_volume"] = of["motor_volume"] * of["motor_displacement"] / paper["motor_displacement"]
+        volume = of["motor_volume"] * of["motor_displacement"] / paper["motor_displacement"]
+        way = of["stop_at"] - of.get("stop_from", -of["stop_at"]) if "stop_at" in of else math.inf
+        found["motor_volume"] = min(volume, of["motor_displacement"] * of["gear_ratio"] * way / 2)
     least = {n: DECLARED[n].minimum or 0.0 for n in found if n in DECLARED}
     values = {n: max(x, least.get(n, 0.0)) for n, x in found.items() if read[n].note == DEFAULT}
     return {n: replace(read[n], value=x) for n, x in values.items()}

@@ -200,6 +200,34 @@ def test_relief_valves_of_its_own_limit_a_drive(tmp_path):
     assert "with 73 bar, expected at most its relief valve's 60 bar" in problem(lambda: check(weak))
 
 
+def test_valves_of_no_cylinder_have_no_settings():
+    """A table for counterbalance valves needs one."""
+    text = NEW.read_text(encoding="utf-8") + "\n[counterbalance]\npressure = 2e7\n"
+    none = text.replace('valve = "40 mm2"', 'valve = "40 mm2", counterbalance = "none"')
+    assert read(Path("own.toml"), text.encode()).numbers["counterbalance"]["counterbalance_pressure"].value
+    told = problem(lambda: read(Path("own.toml"), none.encode()))
+    assert "[counterbalance] expected a cylinder with such a valve, got none" in told
+
+
+# displacement [m3/rad], ratio, keys of the stop -> volume of a side [m3]
+RACK = {
+    (6.5e-4, 1, "at = 2"): 6.5e-4 * 2,  # half of it empty, half of it full
+    (6.5e-4, 1, "at = 2, from = -1"): 6.5e-4 * 1.5,
+    (6.5e-4, 1, ""): 8 * 6.5e-4,  # as of the paper's motor: 0.2 L of 25 cm3/rad
+    (2.5e-5, 60, "at = 2"): 2e-4,
+}
+
+
+@pytest.mark.parametrize(("displacement", "ratio", "stop"), RACK)
+def test_a_rack_has_the_oil_of_its_middle(tmp_path, displacement, ratio, stop):
+    """Half of what it displaces between its stops, if that is less than of a motor of its displacement."""
+    motor = f"displacement = {displacement}, ratio = {ratio}"
+    stops = ("[slew]\n", f"[slew]\nstop = {{ {stop} }}\n") if stop else ("[slew]\n", "[slew]\n")
+    old = 'displacement = "1.14e-3 m3/rad", ratio = 1, volume = "0.2 L"'
+    crane = read(changed(tmp_path, stops, (old, motor)))
+    assert crane.joint("slew")["motor_volume"] == pytest.approx(RACK[displacement, ratio, stop])
+
+
 def test_components_in_addition_have_keys(tmp_path):
     """Of a cylinder and of the supply; a cushion in the drives whose lines have oil columns."""
     gas = '[supply]\naccumulator = { volume = "5 L", precharge = "90 bar", conductance = 1e-9 }'
