@@ -738,9 +738,9 @@ def _joint(
         held = reader.one_of(where, hydraulics, "counterbalance", HELD if j.cylinder else ("both",), "both")
         j = replace(j, part=str(part), held=HELD[held])
         for side in HELD["both"] if j.cylinder else ():
-            if (key := f"{side}_pilot_ratio") in hydraulics and side not in j.held:
+            if (ratio := f"{side}_pilot_ratio") in hydraulics and side not in j.held:
                 expected = f"none without a counterbalance valve at the {side} side"
-                reader.wrong(where, f"{key}: expected {expected}, got {hydraulics[key]!r}")
+                reader.wrong(where, f"{ratio}: expected {expected}, got {hydraulics[ratio]!r}")
     if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
         rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
         expected = f"thinner than the bore of {bore:g} mm"
