@@ -147,14 +147,20 @@ def gains_of(crane: CraneDescription, arm: Arm, pose: Mapping[str, float]) -> di
 
 
 def _unloaded(crane: CraneDescription, joint: JointDescription) -> float:
-    """Speed of a motor [rad/s], or of a piston inwards [m/s]: a fully open valve, no load and no friction."""
+    """Speed of a motor [rad/s], or the lower one of a piston [m/s]: open valve, no load and no friction.
+
+    v^2 (in^3/a_in^2 + out^3/a_out^2) = C^2 2 p/rho in: areas of the side that is filled, of the one that is
+    emptied, and a of their edges.
+    """
     pressure, density = crane.numbers["supply"]["pressure_setting"], crane.numbers["oil"]["density"]
-    root = values(BOOM_STICK).p["valve_discharge_coefficient"] * joint["valve_area"]
-    root *= math.sqrt(2 * pressure.value / density.value)
+    jet = values(BOOM_STICK).p["valve_discharge_coefficient"] * math.sqrt(2 * pressure.value / density.value)
     if joint.motor:
-        return root / math.sqrt(2) / (joint["motor_displacement"] * joint["gear_ratio"])
+        turn = joint["motor_displacement"] * joint["gear_ratio"]
+        return jet * joint["valve_area"] / math.sqrt(2) / turn
     head, rod = map(float, areas(joint["bore"], joint["rod"]))
-    return root * math.sqrt(rod / (head**3 + rod**3))
+    a = {edge: x.value for edge, x in joint.edges.items()}
+    ways = ((rod, a["pb"], head, a["at"]), (head, a["pa"], rod, a["bt"]))
+    return jet * min(math.sqrt(i / (i**3 / a_in**2 + o**3 / a_out**2)) for i, a_in, o, a_out in ways)
 
 
 def controller(crane: CraneDescription, machine: Machine) -> Subsystem:

@@ -30,6 +30,7 @@ from fmus.components.chain import Axis
 from fmus.components.chamber import BulkModulus, Liquid
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import HoseSize
+from fmus.components.opening_curve import EDGES
 from fmus.components.spool_valve import Valve
 from fmus.contract import Quantity, quantities
 from fmus.drives.motor import MotorSize
@@ -140,16 +141,17 @@ def _stop_keys(kind: str) -> Keys:
 
 
 JOINTS, STOPS = ({kind: keys(kind) for kind in UNITS} for keys in (_joint_keys, _stop_keys))
-FOLLOWED = {
-    kind: {
+FOLLOWED = {  # kinds of a joint and of the one that it follows
+    (kind, leader): {
         "ratio": _key("ratio", "1", "Motion of the {} over that of the joint that it follows", 1.0),
         "offset": _key("offset", unit, "Coordinate of the {} where the joint that it follows is at 0"),
         **{
-            n: _key(f"follows_{n}", unit, f"Coordinate of the joint that the {{}} follows, {text}", 0.0)
+            n: _key(f"follows_{n}", of_leader, f"Coordinate of the joint that the {{}} follows, {text}")
             for n, text in (("from", "from which on it moves"), ("to", "up to which it moves"))
         },
     }
     for kind, (unit, _) in UNITS.items()
+    for leader, (of_leader, _) in UNITS.items()
 }
 DRIVES: Mapping[str, Keys] = {
     "cylinder": {
@@ -209,7 +211,7 @@ INERTIA = {
 
 def _of_joint(kind: str) -> dict[str, Quantity]:
     """Parameters of a joint in the manipulator."""
-    tables = (JOINTS[kind], STOPS[kind], DRIVES["four_bar"], FOLLOWED[kind])
+    tables = (JOINTS[kind], STOPS[kind], DRIVES["four_bar"], FOLLOWED[kind, kind])
     keys = [key for table in tables for key in table.values()]
     keys += [in_plane(key, axis) for key in DRIVES["cylinder"].values() for axis in PLANES]
     return INERTIA | {n: q for key in keys for n, q in key.items() if n not in (*DECLARED, "count")}
@@ -300,7 +302,7 @@ def keys_of(table: str, addition: type[Addition]) -> Keys:
 # other keys of tables, and of a joint
 WORDS = {"payload": ("on", "along"), "supply": (*OF_SUPPLY,), "datasheet": ("loads",)}
 WORDS |= {"hydraulics": ("part", "counterbalance"), "four_bar": ("assembly",)}
-OTHERS = (*FOLLOWED["revolute"], "inertia", "stop", *ADDITIONS, "shape", "source", "note")
+OTHERS = (*FOLLOWED["revolute", "revolute"], "inertia", "stop", *ADDITIONS, "shape", "source", "note")
 WORD, PART = "[a-z][a-z0-9]*", "[a-z][a-z0-9_]*"
 DEFAULT = "default"  # note of a number that the file does not have
 MEANT = {"m": ("mm", "cm"), "rad": ("deg",)}  # units of a number that is out of range without one
@@ -390,19 +392,26 @@ class JointDescription:
         """Whether its cylinder does so over a four-bar linkage."""
         return "four_bar" in USED[self.drive]
 
+    @property
+    def edges(self) -> dict[str, Number]:
+        """Areas of the edges of its valve: those that have none of their own have that of the valve."""
+        own = {"at": "head_return_area", "pb": "rod_valve_area", "bt": "rod_return_area"}
+        found = {edge: self.numbers.get(own.get(edge, ""), NONE) for edge in EDGES}
+        return {edge: x if x.value else self.numbers["valve_area"] for edge, x in found.items()}
+
     def __getitem__(self, name: str) -> float:
         return self.numbers[name].value
 
     @property
     def sequenced(self) -> bool:
         """Whether it moves in a part of the way of the joint that it follows."""
-        return any(self.numbers.get(f"follows_{n}", NONE).value for n in ("from", "to"))
+        return any(f"follows_{n}" in self.numbers for n in ("from", "to"))
 
     def following(self, x: float) -> float:
         """Its coordinate at that of the joint that it follows; corners of its way are not rounded."""
-        low, high = (self[f"follows_{n}"] for n in ("from", "to"))
-        x = min(x, high) if high else x
-        return self["ratio"] * (max(x - low, 0.0) if low else x) + self["offset"]
+        way = min(x, self["follows_to"]) if "follows_to" in self.numbers else x
+        way = max(way - self["follows_from"], 0.0) if "follows_from" in self.numbers else way
+        return self["ratio"] * way + self["offset"]
 
     def vector(self, name: str, axes: str = "xyz") -> Array:
         """Some of its numbers, along axes, shape (n,)."""
@@ -493,7 +502,7 @@ class _Reader:
     ) -> str:
         """One of some words; the first one after a mistake."""
         value = given.get(key, default)
-        if value in choices or (key not in given and value is not None):
+        if (isinstance(value, str) and value in choices) or (key not in given and value is not None):
             return str(value)
         hint = suggest(value, choices) if isinstance(value, str) and value else ""
         got = repr(value) if key in given else "nothing"
@@ -540,8 +549,9 @@ class _Reader:
         found = [self.quantity(table, key, x, q.unit) for x in entries]
         low = -math.inf if q.minimum is None else q.minimum
         high = math.inf if q.maximum is None else q.maximum
-        for x, given in zip(found, entries, strict=True):
+        for k, (x, given) in enumerate(zip(found, entries, strict=True)):
             if x < low or x > high:
+                found[k] = math.nan
                 units = () if isinstance(given, str) else MEANT.get(q.unit, ())
                 meant = [u for u in units if low <= x * parse_unit(u).factor <= high]
                 hint = f'; did you mean "{x:g} {meant[0]}"?' if meant else ""
@@ -578,7 +588,11 @@ def read(path: Path, data: bytes | None = None) -> CraneDescription:
     density = numbers["oil"]["density"].value
     if len(names) > MOST_JOINTS:
         raise Problem(f"{path}: expected at most {MOST_JOINTS} joints, got {len(names)}")
-    joints = [_joint(reader, n, content[n], names[:k], starts, density) for k, n in enumerate(names)]
+    joints = list[JointDescription]()
+    for n in names:
+        joints.append(_joint(reader, n, content[n], {j.name: j for j in joints}, starts, density))
+    if tables["counterbalance"] and not any(j.cylinder and j.held for j in joints):
+        reader.wrong("counterbalance", "expected a cylinder with such a valve, got none")
     reader.unknown("start", starts, names)
     on = reader.one_of("payload", tables["payload"], "on", names)
     along = reader.one_of("payload", tables["payload"], "along", ("x", "y", "z"), "y")
@@ -618,13 +632,18 @@ def new(path: Path) -> str:
 def _with_origin(reader: _Reader, table: str, given: Given) -> _Reader:
     """The reader with source and note of a table."""
     source, note = given.get("source", reader.source), given.get("note", reader.note)
-    if source not in SOURCES:
+    if not (isinstance(source, str) and source in SOURCES):
         reader.wrong(table, f"source: expected one of {', '.join(SOURCES)}, got {source!r}")
     return replace(reader, source=str(source), note=str(note))
 
 
 def _joint(
-    reader: _Reader, name: str, given: Given, before: Sequence[str], starts: Given, density: float
+    reader: _Reader,
+    name: str,
+    given: Given,
+    before: Mapping[str, JointDescription],
+    starts: Given,
+    density: float,
 ) -> JointDescription:
     if not re.fullmatch(WORD, name):
         expected = "a joint name of one word of small letters and digits: its signals are such as"
@@ -635,7 +654,7 @@ def _joint(
         "joint": (UNITS, "revolute"),
         "drive": (USED, "none"),
         "axis": (AXES, None),
-        "parent": ((*before, "base"), before[-1] if before else "base"),
+        "parent": ((*before, "base"), next(reversed([*before]), "base")),
         "follows": (before, ""),
     }
     kind, drive, axis, parent, follows = (reader.one_of(name, given, n, *of) for n, of in words.items())
@@ -652,13 +671,19 @@ def _joint(
         shape=_shape(reader, name, given.get("shape")),
         additions=tuple(n for n in ADDITIONS if n in given),
     )
+    leader = before[follows] if follows else j
+    followed = FOLLOWED[kind, leader.kind]
+    if leader.follows:
+        reader.wrong(
+            name, f"follows: expected a joint that follows none, such as {leader.follows}, got {follows!r}"
+        )
     if follows and j.driven:
         reader.wrong(name, f"drive: expected none of a joint that follows {follows}, got {drive!r}")
     if not j.revolute and (j.motor or j.four_bar):
         reader.wrong(name, f"drive: expected cylinder or none of a prismatic joint, got {drive!r}")
     if j.four_bar and axis != "-y":
         reader.wrong(name, f'axis: expected "-y" of a joint with a four-bar linkage, got {axis!r}')
-    for n in FOLLOWED[kind] if not follows else ("friction",):
+    for n in followed if not follows else ("friction",):
         if n in given:
             other = "none of a joint that follows another one" if follows else "it beside follows only"
             reader.wrong(name, f"{n}: expected {other}, got {given[n]!r}")
@@ -668,41 +693,29 @@ def _joint(
         reader.wrong(name, "stop: expected none of a joint that follows another one or has a cylinder")
     known = ADDITIONS if j.cylinder else OF_MOTOR if j.motor else {}
     for n in (n for n in j.additions if n not in known):
-        reader.wrong(name, f"{n}: expected a joint with a cylinder, got drive {drive!r}")
+        other = " or a motor" * (n in OF_MOTOR)
+        reader.wrong(name, f"{n}: expected a joint with a cylinder{other}, got drive {drive!r}")
     numbers = reader.numbers(name, given, JOINTS[kind], *words, *OTHERS, *USED[drive])
     tables = {"stop": STOPS[kind]} | {n: keys_of(n, a) for n, a in known.items()}
     for table in (n for n in tables if n in given):
         numbers |= reader.numbers(f"{name}.{table}", given[table], tables[table])
+    for n in ("pressure", "gain"):
+        if n in given.get("reliefs", {}) and (x := numbers.get(f"reliefs_{n}")) and x.value == 0:
+            reader.wrong(f"{name}.reliefs", f"{n}: expected more than 0, got {given['reliefs'][n]!r}")
     numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
     for table in USED[drive]:
         left_out = UNUSED.get(drive if j.revolute else "telescope", {}).get(table, ())
         keys = {n: in_plane(key, axis) for n, key in DRIVES[table].items() if n not in left_out}
         numbers |= reader.numbers(f"{name}.{table}", given.get(table, {}), keys, *WORDS.get(table, ()))
-    numbers |= reader.numbers(name, {n: x for n, x in given.items() if n in FOLLOWED[kind]}, FOLLOWED[kind])
-    if "to" in given and numbers["follows_to"].value <= numbers["follows_from"].value:
+    ends = [n for n in ("from", "to") if n in given]
+    keys = {n: key for n, key in followed.items() if n in ("ratio", "offset", *ends)}
+    numbers |= reader.numbers(name, {n: x for n, x in given.items() if n in keys}, keys)
+    if len(ends) == 2 and numbers["follows_to"].value <= numbers["follows_from"].value:
         reader.wrong(name, f"to: expected more than from, got {given['to']!r}")
     if j.four_bar:
         linkage, choices = given.get("four_bar", {}), get_args(Assembly)
         assembly = reader.one_of(f"{name}.four_bar", linkage, "assembly", choices)
         j = replace(j, assembly=cast(Assembly, assembly))
-    if j.driven:
-        where, hydraulics = f"{name}.hydraulics", given.get("hydraulics", {})
-        numbers |= _rated(reader, where, hydraulics, numbers, density)
-        numbers |= _by_size(numbers, density)
-        part = hydraulics.get("part", j.part)
-        if not isinstance(part, str) or not re.fullmatch(PART, part):
-            reader.wrong(where, f"part: expected a name of small letters, digits and _, got {part!r}")
-        held = reader.one_of(where, hydraulics, "counterbalance", HELD if j.cylinder else ("both",), "both")
-        j = replace(j, part=str(part), held=HELD[held])
-    if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
-        rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
-        expected = f"thinner than the bore of {bore:g} mm"
-        reader.wrong(f"{name}.cylinder", f"rod: expected {expected}, got {rod:g} mm")
-    if "closed_length" in numbers:
-        closed, stroke, bore = (1e3 * numbers[n].value for n in ("closed_length", "stroke", "bore"))
-        if closed < stroke + bore:
-            expected = f"at least {stroke + bore:g} mm, the stroke and a bore for piston, gland and eyes"
-            reader.wrong(f"{name}.cylinder", f"closed: expected {expected}, got {closed:g} mm")
     if "stop_at" in numbers:
         low, high = (numbers[n].value for n in ("stop_from", "stop_at"))
         if "from" not in given["stop"]:
@@ -715,6 +728,28 @@ def _joint(
             reader.wrong(
                 "start", f"{name}: expected between the end stops of the joint, got {starts.get(name, 0)!r}"
             )
+    if j.driven:
+        where, hydraulics = f"{name}.hydraulics", given.get("hydraulics", {})
+        numbers |= _rated(reader, where, hydraulics, numbers, density)
+        numbers |= _by_size(numbers, density)
+        part = hydraulics.get("part", j.part)
+        if not isinstance(part, str) or not re.fullmatch(PART, part):
+            reader.wrong(where, f"part: expected a name of small letters, digits and _, got {part!r}")
+        held = reader.one_of(where, hydraulics, "counterbalance", HELD if j.cylinder else ("both",), "both")
+        j = replace(j, part=str(part), held=HELD[held])
+        for side in HELD["both"] if j.cylinder else ():
+            if (ratio := f"{side}_pilot_ratio") in hydraulics and side not in j.held:
+                expected = f"none without a counterbalance valve at the {side} side"
+                reader.wrong(where, f"{ratio}: expected {expected}, got {hydraulics[ratio]!r}")
+    if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
+        rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
+        expected = f"thinner than the bore of {bore:g} mm"
+        reader.wrong(f"{name}.cylinder", f"rod: expected {expected}, got {rod:g} mm")
+    if "closed_length" in numbers:
+        closed, stroke, bore = (1e3 * numbers[n].value for n in ("closed_length", "stroke", "bore"))
+        if closed < stroke + bore:
+            expected = f"at least {stroke + bore:g} mm, the stroke and a bore for piston, gland and eyes"
+            reader.wrong(f"{name}.cylinder", f"closed: expected {expected}, got {closed:g} mm")
     return replace(j, numbers=numbers | _together(reader, name, numbers))
 
 
@@ -728,7 +763,7 @@ def _together(reader: _Reader, name: str, numbers: dict[str, Number]) -> dict[st
     if "count" not in numbers:
         return {}
     count = numbers.pop("count").value
-    if count != round(count):
+    if count % 1 > 0:
         reader.wrong(f"{name}.cylinder", f"count: expected a whole number, got {count:g}")
     if count == 1:
         return {}
@@ -755,19 +790,23 @@ def _shape(reader: _Reader, name: str, value: Any) -> Path | None:
 def _rated(
     reader: _Reader, where: str, given: Given, read: Mapping[str, Number], density: float
 ) -> dict[str, Number]:
-    """The area of a valve whose flow at a pressure drop over one edge is given: eq. (2)."""
+    """The area of a valve whose flow at a pressure drop over one edge is given: eq. (2).
+
+    Also of the edge to the rod side; beside `valve`, `rod_flow` is that of a compensated section.
+    """
     if "valve" in given and "flow" in given:
         reader.wrong(where, f"flow: expected none beside valve, got {given['flow']!r}")
-    if not read["rated_flow"].value > 0:
-        return {}
     coefficient = numbers_of(BOOM_STICK)["parameters"]["valve_discharge_coefficient"].value
-    area = read["rated_flow"].value / (coefficient * math.sqrt(2 * read["rated_drop"].value / density))
-    found = {
-        "valve_area": Number(area, "m2", "derived", "of its rated flow at a pressure drop over one edge")
-    }
-    if read.get("rod_rated_flow", NONE).value and not read["rod_valve_area"].value:
-        share = read["rod_rated_flow"].value / read["rated_flow"].value
-        found["rod_valve_area"] = replace(found["valve_area"], value=share * area)
+    rated, found = read["rated_flow"].value > 0, dict[str, Number]()
+    drop = read["rated_drop"].value if rated else COMPENSATED
+    flows = {"valve_area": read["rated_flow"]}
+    if "rod_valve_area" in read and not read["rod_valve_area"].value:
+        flows["rod_valve_area"] = read["rod_rated_flow"]
+    note = "of its rated flow at a pressure drop over one edge" if rated else "of rod_flow at a compensator"
+    for name, flow in flows.items():
+        if flow.value > 0:
+            area = flow.value / (coefficient * math.sqrt(2 * drop / density))
+            found[name] = Number(area, "m2", "derived", note)
     return found
 
 
@@ -776,7 +815,7 @@ def _by_size(read: Mapping[str, Number], density: float) -> dict[str, Number]:
 
     The dead volume follows the swept one, friction of the piston the square of its bore, the volume of a
     motor its displacement, leakage the area of the valve, relief valves the flow of the section; the hose has
-    5 m/s at it.
+    5 m/s at it. A motor has at most half of what it displaces between its end stops: a rack in its middle.
     """
     of, size = {n: x.value for n, x in read.items()}, numbers_of(BOOM_STICK)["parameters"]
     paper = {n: x.value for n, x in {**numbers_of(SWING)["parameters"], **size}.items()}
@@ -792,7 +831,9 @@ def _by_size(read: Mapping[str, Number], density: float) -> dict[str, Number]:
         shipped = numbers_of(BOOM_VARIANTS["compensated"])["parameters"]["port_relief_gain"].value
         found["reliefs_gain"] = shipped * flow / SECTION
     if "motor_volume" in of:
-        found["motor_volume"] = of["motor_volume"] * of["motor_displacement"] / paper["motor_displacement"]
+        volume = of["motor_volume"] * of["motor_displacement"] / paper["motor_displacement"]
+        way = of["stop_at"] - of.get("stop_from", -of["stop_at"]) if "stop_at" in of else math.inf
+        found["motor_volume"] = min(volume, of["motor_displacement"] * of["gear_ratio"] * way / 2)
     least = {n: DECLARED[n].minimum or 0.0 for n in found if n in DECLARED}
     values = {n: max(x, least.get(n, 0.0)) for n, x in found.items() if read[n].note == DEFAULT}
     return {n: replace(read[n], value=x) for n, x in values.items()}

@@ -264,7 +264,10 @@ def _sized(
             "brake_drag": _derived(0.01 * torque / speed, "N.m.s/rad", "1 % of that torque at full speed"),
         }
     own = {n: x for n, x in joint.numbers.items() if n in OF_SECTION and x.value}
-    found["rod_section_flow"] = to_rod = own.pop("rod_rated_flow", found["section_flow"])
+    of_edge = found["section_flow"]
+    if (share := joint.edges["pb"].value / joint["valve_area"]) != 1:
+        of_edge = _derived(share * flow, "m3/s", "section_flow times hydraulics.rod_valve over valve")
+    found["rod_section_flow"] = to_rod = own.pop("rod_rated_flow", of_edge)
     head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
     force = pose[f"{joint.name}_holding_force"]
     for side, emptied, held in (
@@ -279,21 +282,18 @@ def _sized(
 
 
 def _edges(joint: JointDescription, common: Mapping[str, Number]) -> dict[str, Number]:
-    """Areas of the edges of a spool valve: that of the widest one, and curves of those that are narrower."""
-    areas = dict.fromkeys(EDGES, joint["valve_area"])
-    for edge, name in (("at", "head_return_area"), ("pb", "rod_valve_area"), ("bt", "rod_return_area")):
-        areas[edge] = joint[name] or areas[edge]
-    widest, found = max(areas.values()), dict[str, Number]()
+    """Area of a spool valve: that of its widest edge, and curves of the edges that are narrower."""
+    widest, found = max(joint.edges.values(), key=lambda x: x.value), dict[str, Number]()
     full, dead, rounding = common["valve_full_command"].value, *map(joint.__getitem__, LINE)
     start = min(rounding, (full - dead) / 4)  # points on a line give this line from the third one on
-    for edge, area in ((e, a) for e, a in areas.items() if a != widest):
+    for edge, area in ((e, x.value) for e, x in joint.edges.items() if x.value != widest.value):
         for k, volts in enumerate((dead, dead + start, dead + 2 * start, full), 1):
-            opening = area / widest * float(spool_valve.opening(volts, dead, full, rounding))
+            opening = area / widest.value * float(spool_valve.opening(volts, dead, full, rounding))
             found[f"valve_{edge}_command_{k}"] = _derived(volts, "V", "hydraulics.dead_band, rounding")
             found[f"valve_{edge}_opening_{k}"] = _derived(
                 opening, "1", "area of the edge over the widest one"
             )
-    return found | {"valve_area": _derived(widest, "m2", "the widest edge")}
+    return found | {"valve_area": widest}
 
 
 def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:

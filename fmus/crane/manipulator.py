@@ -23,7 +23,6 @@ from fmus.components.linkage import Cylinder, Drive, FourBar, Telescope, directi
 from fmus.components.mechanics import Point
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities
 from fmus.crane.description import (
-    FOLLOWED,
     INERTIA,
     OF_JOINT,
     TABLES,
@@ -120,8 +119,7 @@ TEXTS = {n: q.text for n, q in OF_JOINT["revolute"].items()}
 
 def numbers_of(joint: JointDescription) -> dict[str, Number]:
     """Numbers of a joint that are parameters of the manipulator; zeros are structure."""
-    contacts = CONTACTS[joint.kind]
-    others = contacts if joint.follows else {**contacts, **FOLLOWED[joint.kind]}
+    others = {*CONTACTS[joint.kind]} | ({"ratio"} if not joint.follows else set())
     known = OF_JOINT[joint.kind].keys() - others
     return {n: x for n, x in joint.numbers.items() if n in known and x.value != 0}
 
@@ -138,8 +136,8 @@ def joint_model(joints: Sequence[JointDescription], j: JointDescription) -> Join
 
     def moved(o: Any, q: Scalar) -> Scalar:
         """The way of the joint that it follows, from and up to where a stage in a sequence moves with it."""
-        way = lowest(q, o.follows_to, SOFT) if "follows_to" in own else q
-        return ramp(way - o.follows_from + SOFT / 2, SOFT) if "follows_from" in own else way
+        way = lowest(q, o.follows_to, SOFT) if "follows_to" in j.numbers else q
+        return ramp(way - o.follows_from + SOFT / 2, SOFT) if "follows_from" in j.numbers else way
 
     def link(p: Any) -> Link:
         o = of(p)
@@ -433,7 +431,9 @@ def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
     for j in crane.joints:
         own = numbers_of(j)
         declared = {
-            n: replace(OF_JOINT[j.kind][n], nominal=max(abs(x.value), 1e-3), value=None, group="{}")
+            n: replace(
+                OF_JOINT[j.kind][n], unit=x.unit, nominal=max(abs(x.value), 1e-3), value=None, group="{}"
+            )
             for n, x in own.items()
         }
         groups[j.name] = make_group("Joint", declared)

@@ -48,6 +48,12 @@ DIRECTIONS = {n: (-1.0 if n[0] == "-" else 1.0) * np.eye(3)["xyz".index(n[-1])] 
 # ---- export
 
 
+def left_out(crane: CraneDescription) -> Iterator[str]:
+    """What a URDF has no place for."""
+    for j in (j for j in crane.joints if j.sequenced):
+        yield f"note: {j.name}: moves freely: a mimic joint cannot follow {j.follows} in a part of its way"
+
+
 def export(crane: CraneDescription, found: Sequence[AxisCheck], speeds: Mapping[str, Speeds]) -> str:
     """The text of a URDF.
 

@@ -52,13 +52,13 @@ def crane(
     description = read(file)
     found = check(description)
     if action == "export":
-        from fmus.crane.urdf import export
+        from fmus.crane.urdf import export, left_out
         from orchestrator.base.files import write_whole
 
         target = out or file.with_suffix(".urdf")
         speeds = full_speeds(description, found, ["lumped"])
         write_whole(target, export(description, found, speeds).encode())
-        print(f"{target}: {len(description.joints)} links")
+        print("\n".join([f"{target}: {len(description.joints)} links", *left_out(description)]))
         return
     loads = capacity(description, found)
     print(table(description, found, loads, full_speeds(description, found)))

@@ -7,13 +7,14 @@ import pytest
 from kit.cranes import CRANES, changed, machine, told_of
 from kit.equations import Part
 from kit.mistakes import problem
+from scipy.optimize import brentq
 
 from fmus.contract import quantities
 from fmus.crane.axes import at_start
 from fmus.crane.check import check
 from fmus.crane.description import NEW, read
 from fmus.crane.machine import crane_machine, drives, with_pressures
-from fmus.parameters import values
+from fmus.parameters import numbers, values
 from fmus.supply import supply
 
 TURN = 2 * np.pi  # rad
@@ -121,6 +122,49 @@ def compensated(crane):
     return Part(drives(crane, "drives", crane.driven, at_start(crane), "compensated"))
 
 
+# keys -> share of the rod side, by hand: L/min of 0.62 A sqrt(2 dp/rho), or mm2
+JET = 0.62e-6 * np.sqrt(2 / 870) * 6e4
+SHARES = {
+    'valve = "40 mm2"': 1.0,
+    'valve = "40 mm2", rod_flow = "20 L/min"': 20 / (40 * JET * np.sqrt(12e5)),
+    'valve = "40 mm2", rod_valve = "20 mm2"': 0.5,
+    'flow = "40 L/min", drop = "7 bar", rod_valve = "20 mm2"': 20 * JET * np.sqrt(7e5) / 40,
+    'flow = "40 L/min", drop = "7 bar", rod_flow = "55 L/min"': 55 / 40,
+}
+
+
+@pytest.mark.parametrize("keys", SHARES)
+def test_the_rod_side_has_its_share_in_all_variants(tmp_path, keys):
+    """Of the edges of a spool valve, and of the flows of a section; the area has the origin of its key."""
+    crane = read(changed(tmp_path, (VALVE, f'{keys}, hose = "3 m"')))
+    for variant in ("lumped", "detailed", "compensated"):
+        sub = drives(crane, "drives", [crane.joint("boom")], at_start(crane), variant)
+        p = values(sub).p
+        if variant == "compensated":
+            share = p["boom_rod_section_flow"] / p["boom_section_flow"]
+        else:
+            of = {edge: p[f"boom_valve_{edge}_opening_4"] or 1.0 for edge in ("pa", "pb")}  # 0: no curve
+            share = of["pb"] / of["pa"]
+            area = numbers(sub)["parameters"]["boom_valve_area"]
+            own = "derived" if keys.startswith("flow") or SHARES[keys] > 1 else "literature"
+            assert (area.source, "widest" in area.note) == (own, False)
+        assert share == pytest.approx(SHARES[keys], rel=1e-9)
+
+
+def test_the_controller_knows_the_slower_way_of_a_piston(tmp_path):
+    """Half the speed without load: here inwards, by a narrow edge from the head side."""
+    edges = VALVE.replace("hose", 'head_return = "4 mm2", rod_valve = "90 mm2", hose')
+    found = values(crane_machine(read(changed(tmp_path, (VALVE, edges)))).controller).p
+    filled, emptied = np.pi / 4 * (0.12**2 - 0.07**2), np.pi / 4 * 0.12**2
+
+    def force(v):
+        drops = (((a * v / (0.62 * edge)) ** 2 * 870 / 2) for a, edge in ((filled, 90e-6), (emptied, 4e-6)))
+        of_filled, of_emptied = drops
+        return filled * (215e5 - of_filled) - emptied * of_emptied
+
+    assert found["boom_speed_limit"] == pytest.approx(brentq(force, 1e-6, 1) / 2, rel=1e-9)
+
+
 @pytest.mark.parametrize(("held", "sides"), [("none", ()), ("head", ("head",)), ("both", ("head", "rod"))])
 def test_a_cylinder_may_be_without_counterbalance_valves(tmp_path, held, sides):
     """A side that has one has its opening as a state; a closed spool blocks the others, but its leakage."""
@@ -154,6 +198,34 @@ def test_relief_valves_of_its_own_limit_a_drive(tmp_path):
     assert y["slew_relief_heat"] == pytest.approx(gain * (15e5 - 0.5e5) * 135e5, rel=1e-9)
     weak = read(changed(tmp_path, (boom[0], boom[1].replace("180", "60"))))
     assert "with 73 bar, expected at most its relief valve's 60 bar" in problem(lambda: check(weak))
+
+
+def test_valves_of_no_cylinder_have_no_settings():
+    """A table for counterbalance valves needs one."""
+    text = NEW.read_text(encoding="utf-8") + "\n[counterbalance]\npressure = 2e7\n"
+    none = text.replace('valve = "40 mm2"', 'valve = "40 mm2", counterbalance = "none"')
+    assert read(Path("own.toml"), text.encode()).numbers["counterbalance"]["counterbalance_pressure"].value
+    told = problem(lambda: read(Path("own.toml"), none.encode()))
+    assert "[counterbalance] expected a cylinder with such a valve, got none" in told
+
+
+# displacement [m3/rad], ratio, keys of the stop -> volume of a side [m3]
+RACK = {
+    (6.5e-4, 1, "at = 2"): 6.5e-4 * 2,  # half of it empty, half of it full
+    (6.5e-4, 1, "at = 2, from = -1"): 6.5e-4 * 1.5,
+    (6.5e-4, 1, ""): 8 * 6.5e-4,  # as of the paper's motor: 0.2 L of 25 cm3/rad
+    (2.5e-5, 60, "at = 2"): 2e-4,
+}
+
+
+@pytest.mark.parametrize(("displacement", "ratio", "stop"), RACK)
+def test_a_rack_has_the_oil_of_its_middle(tmp_path, displacement, ratio, stop):
+    """Half of what it displaces between its stops, if that is less than of a motor of its displacement."""
+    motor = f"displacement = {displacement}, ratio = {ratio}"
+    stops = ("[slew]\n", f"[slew]\nstop = {{ {stop} }}\n") if stop else ("[slew]\n", "[slew]\n")
+    old = 'displacement = "1.14e-3 m3/rad", ratio = 1, volume = "0.2 L"'
+    crane = read(changed(tmp_path, stops, (old, motor)))
+    assert crane.joint("slew")["motor_volume"] == pytest.approx(RACK[displacement, ratio, stop])
 
 
 def test_components_in_addition_have_keys(tmp_path):

@@ -212,6 +212,37 @@ def test_stages_of_a_telescope_move_one_after_the_other(pin, out):
     assert axis.holding == pytest.approx(gravity[1, 0] / (np.pi / 4 * 0.08**2), rel=1e-9)
 
 
+# kind of the follower, keys -> coordinate of the leader, which turns: that of the follower
+WAYS = {
+    ("revolute", "from = 0"): {-0.4: 0.0, 0.3: 0.3},
+    ("revolute", "to = 0"): {-0.4: -0.4, 0.3: 0.0},
+    ("revolute", "from = -0.5\nto = 0"): {-0.6: 0.0, -0.2: 0.3, 0.3: 0.5},
+    ("revolute", "to = -0.1"): {-0.4: -0.4, 0.3: -0.1},
+    ("prismatic", 'ratio = 0.2\nfrom = "10 deg"\nto = "20 deg"'): {
+        0.1: 0.0,
+        np.radians(15): 0.2 * np.radians(5),
+        0.5: 0.2 * np.radians(10),
+    },
+}
+
+
+@pytest.mark.parametrize(("kind", "keys"), WAYS)
+def test_the_part_of_a_way_has_the_ends_that_a_file_gives(kind, keys):
+    """Also at 0, and in the unit of the joint that is followed; without a key there is no end."""
+    wing = f'[wing]\njoint = "{kind}"\naxis = "z"\nmass = 5\nfollows = "last"\n{keys}\n[payload]'
+    text = entry(__file__, "telescope").replace(
+        'joint = "prismatic"\naxis = "x"\nat = [2,', 'axis = "z"\nat = [2,'
+    )
+    text = text.replace('"cylinder"\ncylinder = { stroke', '"motor"\nmotor = { displacement = 1e-3 } #')
+    crane = read(Path("wing.toml"), text.replace("[payload]", wing).encode())
+    chain, *_ = model(crane)
+    s = ca.SX.sym("s", 2)
+    joints = ca.Function("joints", [s], [ca.vertcat(*chain.joints(s))])
+    for at, expected in WAYS[kind, keys].items():
+        assert float(joints([0, at])[-1]) == pytest.approx(expected, abs=1e-12)  # exact off the corners
+        assert crane.joint("wing").following(at) == pytest.approx(expected, abs=1e-12)
+
+
 def test_a_load_on_a_hook_hangs_at_its_rope():
     """A rope is two passive joints, a winch a cylinder along it: its pull, and the modes of a pendulum."""
     crane = read(Path("hook.toml"), entry(__file__, "hook").encode())

@@ -19,7 +19,7 @@ from fmus.crane.axes import capacity
 from fmus.crane.check import check
 from fmus.crane.description import read
 from fmus.crane.manipulator import manipulator
-from fmus.crane.urdf import export, imported
+from fmus.crane.urdf import export, imported, left_out
 from fmus.parameters import values
 
 JOINT = """<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/></joint>"""
@@ -51,6 +51,16 @@ def test_an_export_has_the_same_mechanics_in_pinocchio(pin):
     text = export(crane(), checked(), SPEEDS).replace('<mimic joint="extension_joint" multiplier="1"/>', "")
     for q in np.random.default_rng(4).uniform(-1, 1, (20, 7)):
         same(pin, crane(), text, q)
+
+
+def test_a_stage_that_moves_in_a_part_of_a_way_is_told():
+    """No mimic joint has the ends of a part; stages that follow all of a way need no note."""
+    text = (
+        "\n[wing]\nparent = 'boom'\njoint = 'prismatic'\naxis = 'x'\nfollows = 'extension'\nto = 1\n[payload]"
+    )
+    own = read(Path("own.toml"), crane().file.read_text(encoding="utf-8").replace("[payload]", text).encode())
+    (note,) = left_out(own)
+    assert note == "note: wing: moves freely: a mimic joint cannot follow extension in a part of its way"
 
 
 def test_a_foreign_urdf_becomes_a_crane_with_the_same_mechanics(pin, tmp_path):
@@ -159,13 +169,13 @@ def test_what_a_crane_has_no_key_for_is_told_and_a_comment(tmp_path):
     text = FOREIGN.replace("</joint></robot>", f"{more}</joint></robot>")
     source.write_text(text.replace('<link name="slide">', mesh), encoding="utf-8")
     told, text = imported(source, target), target.read_text(encoding="utf-8")
-    for joint, left_out in {
+    for joint, lost in {
         "j1": "the name Column 1 of the link",
         "j3": "limit effort 1 velocity 1",
         "j4": "dynamics friction 40\nnote: j4: left out: limit lower 0 upper 1 effort 1 velocity 1",
     }.items():
-        assert f"note: {joint}: left out: {left_out}" in told
-        assert f"# left out: {left_out.splitlines()[0]}" in text.splitlines()
+        assert f"note: {joint}: left out: {lost}" in told
+        assert f"# left out: {lost.splitlines()[0]}" in text.splitlines()
     assert "note: left out: a.stl: shape of a joint takes a mesh in a binary glTF file" in told
     _, arm, slide = read(target).joints
     assert (slide.follows, slide["ratio"], slide["offset"], slide["damping"]) == ("arm", 2, 0.3, 3)
