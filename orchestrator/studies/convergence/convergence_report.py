@@ -176,7 +176,7 @@ def _panel(study: ConvergenceStudy, group: str, over_cost: bool) -> TracePanel:
         if len(study.steps) > 1 and low > 0:
             ends = np.array([study.steps[-1] / 3, study.steps[-1]])  # lower right
             for order, dashes in zip(SLOPES, LINE_STYLES, strict=False):
-                grey: Style = {"color": PALETTE.faint, "linewidth": 0.9, "linestyle": dashes}
+                grey: Style = {"color": PALETTE.soft, "linewidth": 1.2, "linestyle": dashes}
                 slope = low * (ends / ends[0]) ** order
                 lines.append(TraceLine(np.log10(1e3 * ends), slope, grey, key=f"slope of order {order}"))
     return TracePanel("", lines, f"worst {group}", heights=(9.0, 0.0), log=True)
