@@ -173,12 +173,11 @@ def figure(energies: Mapping[str, Energy]) -> TraceFigure:
     of_engine = {("engine", n): (e.engine, e.of_engine()) for n, e in runs}
     of_functions = {(f, n): (e.supplied[f], e.of(f)) for f in functions for n, e in runs if f in e.supplied}
     shown = {"engine": _seen(of_engine), "functions": _seen(of_functions)}
-    sizes = dict[str, float]()
-    for _, items in chain(*(of.values() for of in shown.values())):
-        sizes |= {item: max(abs(value), sizes.get(item, 0.0)) for item, value in items.items()}
+    every = chain(*(items.items() for of in shown.values() for _, items in of.values()))
+    ranked = dict.fromkeys(item for item, _ in sorted(every, key=lambda pair: -abs(pair[1])))
     light, dark = zip(*PALETTE.pairs, strict=True)
     free = chain((*PALETTE.series[:5], *light, *dark), repeat(PALETTE.soft))  # the smallest ones are grey
-    colours = {item: next(free) for item in sorted(sizes, key=lambda n: -sizes[n]) if item not in LAST}
+    colours = {item: next(free) for item in ranked if item not in LAST}
     colours |= {"load": PALETTE.ink, "stored": PALETTE.faint, "remainder": PALETTE.grid}
     panels = []
     for title, of in shown.items():

@@ -155,6 +155,6 @@ def test_a_histogram_counts_every_run_once() -> None:
 
 @pytest.mark.parametrize(("count", "told"), [(4, ""), (5, "e"), (7, "e, f, g")])
 def test_options_without_a_colour_are_named(count: int, told: str) -> None:
-    """Bands have four colours; the caption names the other options."""
+    """Bands have four colours; the line below names the other options."""
     page = written(results(ishigami, ISHIGAMI, "latin", 28, [Choice("pose", tuple("abcdefg"[:count]))])).page
-    assert re.findall("Not drawn: (.*?); ", page) == [told] * bool(told)
+    assert re.findall("not drawn: (.*?); ", page) == [told] * bool(told)

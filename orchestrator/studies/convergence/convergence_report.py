@@ -96,7 +96,8 @@ def error_table(study: ConvergenceStudy, group: str) -> TextTable:
 
     def cell(run: SettingRun) -> str:
         order = study.order(run, group)
-        return two_digits(f"{run.error(group):.1e}") + ("" if order is None else f" {order:4.1f}")
+        error = f"{run.error(group):.1e}".replace("e-0", "e-").replace("e+0", "e+")
+        return error + ("" if order is None else f" {order:4.1f}")
 
     return table(study, f"{group}: worst NRMSE against {study.reference.heading}; {ORDER_NOTE}", cell)
 
@@ -133,11 +134,6 @@ def failures(study: ConvergenceStudy) -> list[str]:
             at = "" if run.setting.adaptive else f" at {milliseconds(run.step)}"
             lines.append(f"{run.setting.label}: {UNSTABLE}{at}: {reason}")
     return lines
-
-
-def two_digits(number: str) -> str:
-    """A number such as 6.4e-5."""
-    return number.replace("e-0", "e-").replace("e+0", "e+")
 
 
 # ---- figures

@@ -22,7 +22,6 @@ from orchestrator.studies.analysis.analysis_text import output_description, sent
 from orchestrator.studies.analysis.output_samples import counts, done
 from orchestrator.studies.analysis.results import HEAD, Analysis, Effect, Failure, OutputAnalysis, Sensitivity
 from orchestrator.studies.report.study_figures import (
-    DARK,
     MOST_BARS,
     bands,
     colouring,
@@ -246,14 +245,5 @@ def _bands(results: Results) -> Iterator[tuple[str, list[Figure]]]:
         cases = [("all runs", None), *((f"by {choice.name}", choice) for choice in results.study.compared)]
         yield (
             signal,
-            [
-                Figure(bands(results, signal, unit, c), f"{signal}, {name}", _left_out(c), name)
-                for name, c in cases
-            ],
+            [Figure(bands(results, signal, unit, c), f"{signal}, {name}", heading=name) for name, c in cases],
         )
-
-
-def _left_out(choice: Choice | None) -> str:
-    """The options of a choice for which `bands` has no colour."""
-    options = [*map(short, choice.options[len(DARK) :])] if choice else []
-    return f"Not drawn: {', '.join(options)}; there are colours for {len(DARK)} options." if options else ""
