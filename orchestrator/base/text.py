@@ -197,30 +197,32 @@ class TextTable:
     def html(self) -> Markup:
         """The table in HTML; cells are escaped unless they are markup. A wide table can be scrolled.
 
-        A row of one cell is the heading of a group. Where the window is narrow, each cell of a table of texts
-        has a line of its own, with the head of its column.
+        A row of one cell is the heading of a group. A column that is empty in all rows is left out. Where the
+        window is narrow, each cell of a table of texts has a line of its own, with the head of its column.
         """
+        columns = range(len(self.head))
+        kept = [k for k in columns if not self.rows or any(row[k] for row in self.rows if k < len(row))]
         group = Markup('<tr class="group"><th colspan="{}" scope="rowgroup">{}</th></tr>')
-        rows = [Markup("<tr>{}</tr>").format(Markup("").join(self._cells("th", self.head)))]
+        rows = [Markup("<tr>{}</tr>").format(Markup("").join(self._cells("th", self.head, kept)))]
         rows += [
-            group.format(len(self.head), row[0])
+            group.format(len(kept), row[0])
             if len(row) == 1 < len(self.head)
-            else Markup("<tr>{}</tr>").format(Markup("").join(self._cells("td", row)))
+            else Markup("<tr>{}</tr>").format(Markup("").join(self._cells("td", row, kept)))
             for row in self.rows
         ]
         body = Markup("\n").join(rows)
         name = self.title or self.head[0] or "numbers"
         kind, heads = "wide", ""
         if len(self.left) >= TEXTS:
-            quoted = (head.replace("\\", "").replace('"', "'") for head in self.head)
+            quoted = (self.head[k].replace("\\", "").replace('"', "'") for k in kept)
             kind, heads = "wide stack", ";".join(f'--h{k}:"{head}"' for k, head in enumerate(quoted, 1))
         opening = Markup('<div class="{}" style="{}" tabindex="0" role="group" aria-label="{}, table">')
         return opening.format(kind, heads, name) + Markup("<table>\n{}\n</table></div>").format(body)
 
-    def _cells(self, tag: str, row: Sequence[str]) -> Iterable[Markup]:
-        for i, cell in enumerate(row):
-            attribute = "" if i in self.left else ' class="n"'
-            yield Markup(f"<{tag}{attribute}>") + escape(cell) + Markup(f"</{tag}>")
+    def _cells(self, tag: str, row: Sequence[str], columns: Iterable[int]) -> Iterable[Markup]:
+        for k in columns:
+            attribute = "" if k in self.left else ' class="n"'
+            yield Markup(f"<{tag}{attribute}>") + escape(row[k]) + Markup(f"</{tag}>")
 
 
 @cache

@@ -135,8 +135,9 @@ def plot(
         *(signals or ()), title=title, start=start, stop=stop, others=beside, label=first.label
     )
     more = "" if signals else "; choose others with --signals PATTERN"
-    told = f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}"
-    print(f"{told}{more}")
+    print(
+        told := f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}{more}"
+    )
     if out is None:
         write_whole(BUILD / "plot.html", Report(title, told, [Figure(figure, title)]).html())
         print(f"page: {BUILD / 'plot.html'}")

@@ -14,9 +14,8 @@ from markupsafe import Markup, escape
 
 from orchestrator.base.text import TextTable, jinja_environment, typeset
 from orchestrator.base.units import pretty
-from orchestrator.pages.figures import plot_scripts
+from orchestrator.pages.figures import TEMPLATES, plot_scripts
 
-TEMPLATES = Path(__file__).with_name("templates")
 QUANTITY = re.compile(r"(?<![\w.])(-?\d[\d.e+-]*) ([A-Za-z][\w./]*)")  # a number and its unit
 
 

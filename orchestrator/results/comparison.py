@@ -141,6 +141,12 @@ class Comparison:
         names = self.reference.trace.matching(patterns) if patterns else None
         return draw(traces(self, names))
 
+    def text(self) -> str:
+        """What `harvester compare` prints."""
+        from orchestrator.results.comparison_report import report
+
+        return report(self).text()
+
     def _repr_html_(self) -> str:
         from orchestrator.results.comparison_report import worst_tables
 

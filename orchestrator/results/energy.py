@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import chain, cycle
+from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
@@ -173,10 +173,11 @@ def figure(energies: Mapping[str, Energy]) -> TraceFigure:
     of_engine = {("engine", n): (e.engine, e.of_engine()) for n, e in runs}
     of_functions = {(f, n): (e.supplied[f], e.of(f)) for f in functions for n, e in runs if f in e.supplied}
     shown = {"engine": _seen(of_engine), "functions": _seen(of_functions)}
-    named = [item for of in shown.values() for _, items in of.values() for item in items]
+    every = chain(*(items.items() for of in shown.values() for _, items in of.values()))
+    ranked = dict.fromkeys(item for item, _ in sorted(every, key=lambda pair: -abs(pair[1])))
     light, dark = zip(*PALETTE.pairs, strict=True)
-    free = cycle((*PALETTE.series[:5], *light, *dark))
-    colours = {item: next(free) for item in dict.fromkeys(named) if item not in LAST}
+    free = chain((*PALETTE.series[:5], *light, *dark), repeat(PALETTE.soft))  # the smallest ones are grey
+    colours = {item: next(free) for item in ranked if item not in LAST}
     colours |= {"load": PALETTE.ink, "stored": PALETTE.faint, "remainder": PALETTE.grid}
     panels = []
     for title, of in shown.items():

@@ -20,9 +20,9 @@ from markupsafe import Markup, escape
 from orchestrator.base.files import write_whole
 from orchestrator.base.text import DASH, TextTable, number, typeset
 from orchestrator.pages import html_page
-from orchestrator.pages.figures import TraceFigure, plot
+from orchestrator.pages.figures import TEMPLATES, TraceFigure, plot
 
-TEMPLATE = html_page.TEMPLATES / "report.html.j2"
+TEMPLATE = TEMPLATES / "report.html.j2"
 PAGE, TERMINAL = "page", "terminal"
 
 

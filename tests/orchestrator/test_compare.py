@@ -99,6 +99,7 @@ def test_a_constant_reference_counts_where_the_other_run_moves():
     assert worst.signal == "arm.rest"
     assert worst.metrics.nrmse == pytest.approx(np.sqrt(np.mean((0.5 * SPEED) ** 2)) / span, rel=1e-12)
     told = report(found).text()
+    assert found.text() == told
     assert "arm.rest (constant reference)" in told
     assert "note: constant reference: its NRMSE is over the range of both runs" in told
     alone = {"usual": trace(rest=1.0).select(["arm.rest"]), "other": trace(rest=SPEED).select(["arm.rest"])}

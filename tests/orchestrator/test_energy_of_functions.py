@@ -9,7 +9,8 @@ from kit.mistakes import entry, refused
 from orchestrator import Trace, run
 from orchestrator.__main__ import main
 from orchestrator.data.trace_writer import write_trace
-from orchestrator.results.energy import energy, figure, table
+from orchestrator.pages.figures import PALETTE
+from orchestrator.results.energy import LAST, energy, figure, table
 
 TIME = np.linspace(0.0, 2.0, 21)
 POWERS = entry(__file__, "powers")
@@ -90,6 +91,24 @@ def test_bars_are_as_long_as_what_they_show():
     assert of_functions["hose", 0] == pytest.approx((50, 20))
     assert of_functions["load", 0] == pytest.approx((70, 20))
     assert of_functions["load", 1] == pytest.approx((0, -10))
+
+
+@pytest.mark.parametrize("causes", [3, 13, 16])
+def test_no_two_causes_have_one_colour_but_the_smallest(causes: int) -> None:
+    """Of bars on one picture; those after the thirteenth are grey."""
+    heat = {f"pump.cause_{k}_heat": np.full(21, 1e4 + 1e3 * k) for k in range(causes)}
+    kept = {name: None for name in POWERS if name.endswith("_heat") and not name.startswith("lift_meter")}
+    drawn = figure({"a": energy(crane(**kept, **heat), "-")})
+    colours = {line.name: line.style["color"] for panel in drawn.panels for line in panel.lines}
+    grey = [name for name, colour in colours.items() if colour == PALETTE.soft]
+    several = [name for name, colour in colours.items() if list(colours.values()).count(colour) > 1]
+    assert set(several) <= set(grey)
+    sizes = {
+        line.name: np.nanmax(np.abs(np.diff(line.time))) for panel in drawn.panels for line in panel.lines
+    }
+    others = [name for name in colours if name not in (*grey, *LAST)]
+    assert max((sizes[n] for n in grey), default=0.0) <= min(sizes[n] for n in others)
+    assert len(others) == min(13, len(colours.keys() - LAST))
 
 
 def test_a_machine_at_rest_has_a_table():

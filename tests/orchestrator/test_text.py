@@ -1,5 +1,7 @@
 """Numbers, units and tables as a reader sees them."""
 
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -61,6 +63,18 @@ def test_one_table_for_terminal_document_and_page() -> None:
     assert "<td>&lt;b&gt;</td>" in TABLE.html()
     assert "<td><code>" in TextTable(["x"], [[Markup("<code>y</code>")]]).html()
     assert '<th colspan="2" scope="rowgroup">all</th>' in TextTable(["x", "y"], [["all"], ["a", "b"]]).html()
+
+
+@pytest.mark.parametrize(
+    ("rows", "heads"),
+    [([["a", "", "1"], ["b", "", ""]], "x z"), ([["all"], ["", "2", ""]], "x y"), ([], "x y z")],
+)
+def test_a_page_has_no_column_without_text(rows: list[list[str]], heads: str) -> None:
+    """Numbers stay right-aligned; the heading of a group spans the columns that are left."""
+    page = TextTable(["x", "y", "z"], rows).html()
+    assert re.findall("<th[^>]*>([xyz])</th>", page) == heads.split()
+    assert page.count('<th class="n">') == len(heads.split()) - 1
+    assert ("scope" in page) == ('colspan="2"' in page)
 
 
 def test_json_knows_no_infinity() -> None:

@@ -14,6 +14,7 @@ from orchestrator.base.text import display_unit
 from orchestrator.pages.plotting import draw
 from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.report.study_figures import bands, histogram, medians, tornado
+from orchestrator.studies.study import Choice
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -150,3 +151,10 @@ def test_a_histogram_counts_every_run_once() -> None:
     spread = counted.spread
     quantiles = [spread.low, spread.median, spread.high]
     assert lines.time[::3] == pytest.approx(np.array(quantiles) / 1e5, rel=1e-12)  # rounding
+
+
+@pytest.mark.parametrize(("count", "told"), [(4, ""), (5, "e"), (7, "e, f, g")])
+def test_options_without_a_colour_are_named(count: int, told: str) -> None:
+    """Bands have four colours; the line below names the other options."""
+    page = written(results(ishigami, ISHIGAMI, "latin", 28, [Choice("pose", tuple("abcdefg"[:count]))])).page
+    assert re.findall("not drawn: (.*?); ", page) == [told] * bool(told)

@@ -98,7 +98,8 @@ def error_table(study: ConvergenceStudy, group: str) -> TextTable:
 
     def cell(run: SettingRun) -> str:
         order = study.order(run, group)
-        return two_digits(f"{run.error(group):.1e}") + ("" if order is None else f" {order:4.1f}")
+        error = f"{run.error(group):.1e}".replace("e-0", "e-").replace("e+0", "e+")
+        return error + ("" if order is None else f" {order:4.1f}")
 
     return table(study, f"{group}: worst NRMSE against {study.reference.heading}; {ORDER_NOTE}", cell)
 
@@ -137,11 +138,6 @@ def failures(study: ConvergenceStudy) -> list[str]:
     return lines
 
 
-def two_digits(number: str) -> str:
-    """A number such as 6.4e-5."""
-    return number.replace("e-0", "e-").replace("e+0", "e+")
-
-
 # ---- figures
 
 
@@ -178,7 +174,7 @@ def _panel(study: ConvergenceStudy, group: str, over_cost: bool) -> TracePanel:
         if len(study.steps) > 1 and low > 0:
             ends = np.array([study.steps[-1] / 3, study.steps[-1]])  # lower right
             for order, dashes in zip(SLOPES, LINE_STYLES, strict=False):
-                grey: Style = {"color": PALETTE.faint, "linewidth": 0.9, "linestyle": dashes}
+                grey: Style = {"color": PALETTE.soft, "linewidth": 1.2, "linestyle": dashes}
                 slope = low * (ends / ends[0]) ** order
                 lines.append(TraceLine(np.log10(1e3 * ends), slope, grey, key=f"slope of order {order}"))
     return TracePanel("", lines, f"worst {group}", heights=(9.0, 0.0), log=True)

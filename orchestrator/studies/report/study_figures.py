@@ -112,12 +112,14 @@ EXTREMES = "smallest and largest"
 
 
 def bands(results: Results, signal: str, unit: DisplayUnit, choice: Choice | None) -> TraceFigure:
-    """Median, 5 to 95 % and extremes over the runs at each time; a colour per option."""
+    """Median, 5 to 95 % and extremes over the runs at each time; a colour per option, of four at most."""
     runs = done(results)
     assert results.bands is not None  # called only if signals are stored
     lines, areas = list[TraceLine](), list[TraceArea]()
     key: dict[str, Mapping[str, Any]] = {}
-    for i, (name, rows) in enumerate(_groups(runs, choice)[: len(DARK)]):
+    groups = _groups(runs, choice)
+    missing = ", ".join(name for name, _ in groups[len(DARK) :])
+    for i, (name, rows) in enumerate(groups[: len(DARK)]):
         samples = results.bands[results.bands["run"].isin(runs["run"][rows])]
         if samples.empty:
             continue
@@ -133,7 +135,8 @@ def bands(results: Results, signal: str, unit: DisplayUnit, choice: Choice | Non
             lines += [TraceLine(time, values, dashed, key=EXTREMES) for values in (low, high)]
             key[EXTREMES] = dashed
     panel = TracePanel(unit.display, lines, signal, areas=areas, heights=(4.2, 0.0))
-    return TraceFigure([panel], key=tuple(key.items()))
+    below = f"not drawn: {missing}; there are colours for {len(DARK)} options" if missing else ""
+    return TraceFigure([panel], key=tuple(key.items()), below=below)
 
 
 def quantiles(samples: pd.DataFrame, signal: str) -> tuple[Array, Array]:
