@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import casadi as ca
@@ -184,16 +184,12 @@ class Fit:
     def sizes(self) -> list[tuple[Scalar, Scalar]]:
         """Each size with its deviation."""
         found, covariance = self.solution
-        return [(s, _root(covariance[i, i])) for i, s in enumerate(found)]
+        return [(s, ca.sqrt(ca.fmax(covariance[i, i], 0))) for i, s in enumerate(found)]
 
     def along(self, *weights: Scalar) -> tuple[Scalar, Scalar]:
         """A sum of sizes with these weights, and its deviation."""
         w, (found, covariance) = ca.vertcat(*weights), self.solution
-        return ca.dot(w, ca.vertcat(*found)), _root(w.T @ covariance @ w)
-
-
-def _root(variance: Scalar) -> Scalar:
-    return ca.sqrt(ca.fmax(variance, 0))
+        return ca.dot(w, ca.vertcat(*found)), ca.sqrt(ca.fmax(w.T @ covariance @ w, 0))
 
 
 def whether(condition: Scalar) -> Scalar:
@@ -203,10 +199,7 @@ def whether(condition: Scalar) -> Scalar:
 
 def either(*conditions: Scalar) -> Scalar:
     """1 if one of them is, else 0."""
-    found: Scalar = 0
-    for c in conditions:
-        found = ca.fmax(found, c)
-    return found
+    return reduce(ca.fmax, conditions, 0)
 
 
 def judged(size: Scalar, deviation: Scalar, limit: Scalar, usable: Scalar) -> Scalar:

@@ -60,13 +60,12 @@ class Axis:
 
     lever    dx/dq of its piston
     radial   dr/dq of the tip, r its radius; 0 of the column [m or 1]
-    lines, speeds   1: the readings of both lines, those of all speeds, are usable
+    speeds   1: the readings of all speeds are usable
     stopped  1: a stroke has just ended
     compared   weight and equation of an error of the supply pressure, over `PRESSURE`
     margin   least drop of the supply pressure to a chamber that is filled, of all functions [Pa]
     """
 
-    lines: Scalar = 1
     compared: tuple[Scalar, Scalar, Scalar] = (0, 0, 0)
     speeds: Scalar = 1
     margin: Scalar = NO_DROP
@@ -82,11 +81,9 @@ class Axis:
         self.command = getattr(u, f"{axis.name}_command")
         self.connected = 1 - whether(u.gap > 0)
         self.fitted = [getattr(p, f"{n}_fitted") for n in signals]
-        self.late = list[Scalar]()
-        for k, (n, unit) in enumerate(signals.items()):  # without a lag in a gap of readings
-            late = m.state(f"late_{k}", f"{n} behind the lag", unit, self.readings[k])
-            m.moves(f"late_{k}", (self.readings[k] - late) / ca.if_else(self.connected > 0, p.lag, QUICK))
-            self.late.append(late)
+        lag = ca.if_else(self.connected > 0, p.lag, QUICK)  # none in a gap of readings
+        rows = zip(self.readings, signals.items(), strict=True)
+        self.late = [m.lag(f"late_{k}", now, lag, *row) for k, (now, row) in enumerate(rows)]
         self.behind = [now - late for now, late in zip(self.readings, self.late, strict=True)]
         self.rate = [v / p.lag for v in self.behind]
         self._bad = [m.state(f"bad_{k}", f"1: the reading of {n} is wrong") for k, n in enumerate(signals)]
@@ -141,7 +138,7 @@ class Axis:
     def completed(self, lines: Scalar, speeds: Scalar, margin: Scalar) -> None:
         """What depends on the other functions."""
         m, (angle, _, head, rod) = self.m, self.faulty
-        self.lines, self.speeds, self.margin = lines, speeds, margin
+        self.speeds, self.margin = speeds, margin
         self.sound = lines * (1 - either(angle, head, rod)) * self.connected
         self.usable = m.lag("usable", self.sound, QUICK, "1: the readings are usable", zero=True)
         self.shut = m.sum("shut", "Time for which the valve is closed", 1, self.closed * self.sound)
