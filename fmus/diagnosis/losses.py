@@ -210,7 +210,7 @@ def bursts(a: Axis) -> dict[str, Told]:
     margin = ca.if_else(still * whether(a.shut > LONGER) > 0, SLOW * p.burst_margin, margin)
     usable = a.usable * (1 - a.spool)
     for k, (mark, flow) in enumerate(zip(chambers_of(a.axis), a.flows, strict=True)):
-        pressure, other, sound = a.pressures[k], 1 - k, a.sound * a.full[k]
+        pressure, other, sound = a.pressures[k], 1 - k, a.sound * a.full[k] * (1 - a.doubted[2 + k])
         # what leaves it beyond the return edge; flows are behind a lag, so is the pressure
         outlet = OUTLET * a.outlet(other) * a.opened(other, a.most[other], 1)
         highest = positive(ca.fmax(pressure, a.late[2 + k]) - tank, SMALL)

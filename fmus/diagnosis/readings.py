@@ -8,7 +8,7 @@ Neither masses nor loads are needed. What has no reading, or a wrong one, is not
 
 **Sensors.** A reading is wrong out of its range, or if it stands still: if it does not leave its lag although
 another one of the function says that it should, by more than the resolution of both: angle and speed each
-other, pressures each other.
+other, pressures each other. A pressure that has done so for `DOUBTED` of the time tells no burst.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ JUMP, FASTEST = 0.06, 9.9  # rad, rad/s: step of an angle beyond its speed, spee
 STILL = (1e-5, 1e-6, 2e3, 2e3)  # rad, rad/s, Pa: distance from its lag at which a reading stands still
 LIVELY, STEPS = 5e3, 5  # Pa, and resolutions, from the lag of a pressure that changes
 LOADED = 20  # resolutions: a pressure below it may be as even as that of the return line
+DOUBTED = 0.5  # of the time for which it stands still: half of the evidence
 MOVING = 2 / 3  # of the time for which a pressure stands still: of an angle or a speed
 
 
@@ -62,6 +63,7 @@ class Axis:
     radial   dr/dq of the tip, r its radius; 0 of the column [m or 1]
     speeds   1: the readings of all speeds are usable
     stopped  1: a stroke has just ended
+    doubted  1: of each reading, it may be one that stands still
     compared   weight and equation of an error of the supply pressure, over `PRESSURE`
     margin   least drop of the supply pressure to a chamber that is filled, of all functions [Pa]
     """
@@ -197,11 +199,13 @@ class Axis:
         for pressure, other in zip(self.pressures, self.behind[:1:-1], strict=True):
             # an empty chamber has a constant pressure
             changes.append(whether(ca.fabs(other) > lively) * whether(pressure > least))
+        self.doubted = list[Scalar]()
         for k, n in enumerate(signals_of(self.axis)):
             still = whether(ca.fabs(self.behind[k]) < STILL[k]) * self.connected
             text = f"Time for which {n} stands still although it should change"
             time = self.m.sum(f"still_{k}", text, changes[k], still)
             long = whether(time > p.still_time * (MOVING if k < 2 else 1))
+            self.doubted.append(whether(time > DOUBTED * p.still_time))
             wrong = either(self.outside[k] * self.connected, long) * self.fitted[k]
             self.m.latch(f"bad_{k}", self._bad[k], wrong)
             found[f"{n}_sensor"] = shown(self._bad[k], self.fitted[k])
