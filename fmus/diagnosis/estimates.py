@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -199,7 +199,10 @@ def whether(condition: Scalar) -> Scalar:
 
 def either(*conditions: Scalar) -> Scalar:
     """1 if one of them is, else 0."""
-    return reduce(ca.fmax, conditions, 0)
+    found: Scalar = 0
+    for c in conditions:
+        found = ca.fmax(found, c)
+    return found
 
 
 def judged(size: Scalar, deviation: Scalar, limit: Scalar, usable: Scalar) -> Scalar:

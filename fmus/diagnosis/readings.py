@@ -84,8 +84,8 @@ class Axis:
         self.connected = 1 - whether(u.gap > 0)
         self.fitted = [getattr(p, f"{n}_fitted") for n in signals]
         lag = ca.if_else(self.connected > 0, p.lag, QUICK)  # none in a gap of readings
-        rows = zip(self.readings, signals.items(), strict=True)
-        self.late = [m.lag(f"late_{k}", now, lag, *row) for k, (now, row) in enumerate(rows)]
+        named = enumerate(zip(self.readings, signals.items(), strict=True))
+        self.late = [m.lag(f"late_{k}", now, lag, *row) for k, (now, row) in named]
         self.behind = [now - late for now, late in zip(self.readings, self.late, strict=True)]
         self.rate = [v / p.lag for v in self.behind]
         self._bad = [m.state(f"bad_{k}", f"1: the reading of {n} is wrong") for k, n in enumerate(signals)]
