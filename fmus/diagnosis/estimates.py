@@ -184,16 +184,12 @@ class Fit:
     def sizes(self) -> list[tuple[Scalar, Scalar]]:
         """Each size with its deviation."""
         found, covariance = self.solution
-        return [(s, _root(covariance[i, i])) for i, s in enumerate(found)]
+        return [(s, ca.sqrt(ca.fmax(covariance[i, i], 0))) for i, s in enumerate(found)]
 
     def along(self, *weights: Scalar) -> tuple[Scalar, Scalar]:
         """A sum of sizes with these weights, and its deviation."""
         w, (found, covariance) = ca.vertcat(*weights), self.solution
-        return ca.dot(w, ca.vertcat(*found)), _root(w.T @ covariance @ w)
-
-
-def _root(variance: Scalar) -> Scalar:
-    return ca.sqrt(ca.fmax(variance, 0))
+        return ca.dot(w, ca.vertcat(*found)), ca.sqrt(ca.fmax(w.T @ covariance @ w, 0))
 
 
 def whether(condition: Scalar) -> Scalar:

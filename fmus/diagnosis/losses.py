@@ -121,12 +121,9 @@ def _rests(a: Axis) -> tuple[Any, Scalar, Scalar]:
         oil = over(f"oil_{k}", f"Loss but through the closed valve, {end}", "m3", lost)
         pressed = over(f"pressed_{k}", f"Change of its pressure, {end}", "Pa", a.rate[2 + k])
         jet = over(f"jet_{k}", f"Root of its pressure, {end}", "s", root(v))
-        growth = ca.if_else(
-            sign * a.trailing > 0, -root(a.u.supply_pressure - v), root(v - a.u.tank_pressure)
-        )
-        through = over(
-            f"through_{k}", f"Root of the drop over the edge that was open last, {end}", "s", growth
-        )
+        inlet, outlet = root(a.u.supply_pressure - v), root(v - a.u.tank_pressure)
+        growth, text = ca.if_else(sign * a.trailing > 0, -inlet, outlet), "the edge that was open last"
+        through = over(f"through_{k}", f"Root of the drop over {text}, {end}", "s", growth)
         change = ca.if_else(goes_on * whether(rest > 0) > 0, 0, 1 - calm[k] - spoiled[k])
         m.moves(f"spoiled_{k}", change / QUICK)
         late = a.late[2 + k]
@@ -150,9 +147,8 @@ def leaks(a: Axis) -> dict[str, Told]:
     fit = Fit(a.m, "leaks", [*[(LEAK, 0)] * 4, (airy, 0)], 0.5, 1.0, MOST, rare=True)
     trapped = Fit(a.m, "trapped", [(foam, healthy)], 1.0, 4.0)
     for one, memory, size in ((fit, p.memory, 5), (trapped, AIR_MEMORY, 1)):
-        one.adds(
-            ends / QUICK, [(c[-size:], y) for c, y in equations], QUICK / (1 - ca.exp(-1 / memory)), count
-        )
+        own, time = [(c[-size:], y) for c, y in equations], QUICK / (1 - ca.exp(-1 / memory))
+        one.adds(ends / QUICK, own, time, count)
     known = usable * (1 - a.burst_told) * whether(fit.samples > FEWEST_RESTS)
     jet = a.actuator.gain / a.actuator.valve.area * math.sqrt(PRESSURE)
     limit = p.leak_limit / LITRE * (SWAYING if a.axis.turns else 1)
@@ -186,9 +182,7 @@ def spool(a: Axis) -> dict[str, Told]:
         passing = whether(returned > RESPONSE * opened * a.outlet(k)) * known
         held = a.full[1 - k] * whether(a.pressures[1 - k] - tank > LOST) * (1 - passing)
         late *= 1 - passing * a.full[k]
-        low: Scalar = 0
-        if not a.axis.turns:
-            low = whether(a.pressures[k] < LOST) * (1 - held) * (1 - a.compensated)
+        low = (not a.axis.turns) * whether(a.pressures[k] < LOST) * (1 - held) * (1 - a.compensated)
         missing += [late * (1 - low), waits]
         hidden = late * low * a.sound
         text = "Time for which it does not fill although its valve is open"
@@ -216,7 +210,7 @@ def bursts(a: Axis) -> dict[str, Told]:
     margin = ca.if_else(still * whether(a.shut > LONGER) > 0, SLOW * p.burst_margin, margin)
     usable = a.usable * (1 - a.spool)
     for k, (mark, flow) in enumerate(zip(chambers_of(a.axis), a.flows, strict=True)):
-        pressure, other, sound = a.pressures[k], 1 - k, a.sound * a.full[k]
+        pressure, other, sound = a.pressures[k], 1 - k, a.sound * a.full[k] * (1 - a.doubted[2 + k])
         # what leaves it beyond the return edge; flows are behind a lag, so is the pressure
         outlet = OUTLET * a.outlet(other) * a.opened(other, a.most[other], 1)
         highest = positive(ca.fmax(pressure, a.late[2 + k]) - tank, SMALL)

@@ -66,7 +66,7 @@ class Diagnosis:
         margin = ca.mmin(ca.vertcat(*(a.least_drop for a in axes)))
         for a in axes:
             a.completed(1 - wrong, speeds, margin)
-            checks = losses.leaks(a), losses.spool(a), losses.bursts(a), valves.valve(a), a.sensors()
+            checks = a.sensors(), losses.leaks(a), losses.spool(a), losses.bursts(a), valves.valve(a)
             for n, one in (row for check in checks for row in check.items()):
                 told[n if n.endswith("_sensor") else f"{a.axis.name}_{n}"] = one
         self._pressures(m, axes, u, p, told)
@@ -77,10 +77,8 @@ class Diagnosis:
         air, off, healthy, count = self._together("air", told, p, AIR_OFF)
         more = air - ca.fmax(healthy, 0)
         told["oil_air"] = more, off, judged(more, off, losses.air_limit(healthy, p), whether(count > 0))
-        hot = m.lag(
-            "hot", whether(u.oil_temperature > p.temperature_limit), SAMPLING, "1: the oil is too hot"
-        )
-        told["oil_temperature_high"] = shown(hot)
+        hot = whether(u.oil_temperature > p.temperature_limit)
+        told["oil_temperature_high"] = shown(m.lag("hot", hot, SAMPLING, "1: the oil is too hot"))
         balances = [weight.balance(a, e) for a in axes if (e := self.efforts(u).get(a.axis.name))]
         slewing = next((a.readings[0] for a in axes if a.axis.turns), 0)
         payload, of_load = weight.weighed(balances, slewing, self.tare, m, p)
@@ -115,11 +113,8 @@ class Diagnosis:
             fits[n].adds(weight, [([flow / FLOW, 1], pressure / BAR)], memory)
         size, off = (BAR / FLOW * v for v in fits["tank"].sizes[0])
         enough = whether(fits["tank"].samples > FEWEST)
-        told["return_resistance"] = (
-            size,
-            off,
-            judged(size - known * BAR / FLOW, off, p.return_limit, enough * (1 - cold)),
-        )
+        state = judged(size - known * BAR / FLOW, off, p.return_limit, enough * (1 - cold))
+        told["return_resistance"] = size, off, state
         level, off = (BAR * v for v in fits["tank"].sizes[1])
         usual = reference("return_pressure", p)
         state = judged(ca.fabs(level - usual), off, p.zero_limit, enough * whether(ca.fabs(usual) > 0))

@@ -8,7 +8,7 @@ Neither masses nor loads are needed. What has no reading, or a wrong one, is not
 
 **Sensors.** A reading is wrong out of its range, or if it stands still: if it does not leave its lag although
 another one of the function says that it should, by more than the resolution of both: angle and speed each
-other, pressures each other.
+other, pressures each other. A pressure that has done so for `DOUBTED` of the time tells no burst.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ JUMP, FASTEST = 0.06, 9.9  # rad, rad/s: step of an angle beyond its speed, spee
 STILL = (1e-5, 1e-6, 2e3, 2e3)  # rad, rad/s, Pa: distance from its lag at which a reading stands still
 LIVELY, STEPS = 5e3, 5  # Pa, and resolutions, from the lag of a pressure that changes
 LOADED = 20  # resolutions: a pressure below it may be as even as that of the return line
+DOUBTED = 0.5  # of the time for which it stands still: half of the evidence
 MOVING = 2 / 3  # of the time for which a pressure stands still: of an angle or a speed
 
 
@@ -60,13 +61,13 @@ class Axis:
 
     lever    dx/dq of its piston
     radial   dr/dq of the tip, r its radius; 0 of the column [m or 1]
-    lines, speeds   1: the readings of both lines, those of all speeds, are usable
+    speeds   1: the readings of all speeds are usable
     stopped  1: a stroke has just ended
+    doubted  1: of each reading, it may be one that stands still
     compared   weight and equation of an error of the supply pressure, over `PRESSURE`
     margin   least drop of the supply pressure to a chamber that is filled, of all functions [Pa]
     """
 
-    lines: Scalar = 1
     compared: tuple[Scalar, Scalar, Scalar] = (0, 0, 0)
     speeds: Scalar = 1
     margin: Scalar = NO_DROP
@@ -82,11 +83,9 @@ class Axis:
         self.command = getattr(u, f"{axis.name}_command")
         self.connected = 1 - whether(u.gap > 0)
         self.fitted = [getattr(p, f"{n}_fitted") for n in signals]
-        self.late = list[Scalar]()
-        for k, (n, unit) in enumerate(signals.items()):  # without a lag in a gap of readings
-            late = m.state(f"late_{k}", f"{n} behind the lag", unit, self.readings[k])
-            m.moves(f"late_{k}", (self.readings[k] - late) / ca.if_else(self.connected > 0, p.lag, QUICK))
-            self.late.append(late)
+        lag = ca.if_else(self.connected > 0, p.lag, QUICK)  # none in a gap of readings
+        named = enumerate(zip(self.readings, signals.items(), strict=True))
+        self.late = [m.lag(f"late_{k}", now, lag, *row) for k, (now, row) in named]
         self.behind = [now - late for now, late in zip(self.readings, self.late, strict=True)]
         self.rate = [v / p.lag for v in self.behind]
         self._bad = [m.state(f"bad_{k}", f"1: the reading of {n} is wrong") for k, n in enumerate(signals)]
@@ -141,7 +140,7 @@ class Axis:
     def completed(self, lines: Scalar, speeds: Scalar, margin: Scalar) -> None:
         """What depends on the other functions."""
         m, (angle, _, head, rod) = self.m, self.faulty
-        self.lines, self.speeds, self.margin = lines, speeds, margin
+        self.speeds, self.margin = speeds, margin
         self.sound = lines * (1 - either(angle, head, rod)) * self.connected
         self.usable = m.lag("usable", self.sound, QUICK, "1: the readings are usable", zero=True)
         self.shut = m.sum("shut", "Time for which the valve is closed", 1, self.closed * self.sound)
@@ -200,11 +199,13 @@ class Axis:
         for pressure, other in zip(self.pressures, self.behind[:1:-1], strict=True):
             # an empty chamber has a constant pressure
             changes.append(whether(ca.fabs(other) > lively) * whether(pressure > least))
+        self.doubted = list[Scalar]()
         for k, n in enumerate(signals_of(self.axis)):
             still = whether(ca.fabs(self.behind[k]) < STILL[k]) * self.connected
             text = f"Time for which {n} stands still although it should change"
             time = self.m.sum(f"still_{k}", text, changes[k], still)
             long = whether(time > p.still_time * (MOVING if k < 2 else 1))
+            self.doubted.append(whether(time > DOUBTED * p.still_time))
             wrong = either(self.outside[k] * self.connected, long) * self.fitted[k]
             self.m.latch(f"bad_{k}", self._bad[k], wrong)
             found[f"{n}_sensor"] = shown(self._bad[k], self.fitted[k])

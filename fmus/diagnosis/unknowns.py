@@ -13,17 +13,6 @@ from fmus.parameters import Number, values
 
 LITRE = 1 / 6e4  # L/min in m3/s
 LINES = {"supply_pressure": "Pressure of the supply line", "tank_pressure": "Pressure of the return line"}
-FRICTION = ("dry_friction", "damping", "zero_force")  # of a cylinder
-MAP = (
-    "gain_up",
-    "dead_band_up",
-    "gain_down",
-    "dead_band_down",
-    "half_hysteresis",
-    "hose_friction",
-    "valve_delay",
-)
-EDGES = ("return_edge_up", "return_edge_down")
 
 
 def _read(name: str) -> dict[str, Any]:
@@ -57,6 +46,8 @@ class Unknown:
 
 
 TABLE = {k: {n: Unknown(**row) for n, row in rows.items()} for k, rows in _read("unknowns.toml").items()}
+MAP, EDGES, FRICTION = (tuple(TABLE[k]) for k in ("map", "edges", "cylinder"))
+OF_AXIS = TABLE["axis"] | TABLE["map"] | TABLE["edges"]
 
 
 def chambers_of(axis: ControlledAxis) -> tuple[str, str]:
@@ -77,7 +68,7 @@ def _of_sensors(names: Any) -> dict[str, Unknown]:
 def of_axis(axis: ControlledAxis) -> dict[str, Unknown]:
     """Of one function, by the full names."""
     other = "cylinder" if axis.turns else "motor"
-    own = {f"{axis.name}_{n}": u.named(axis.name) for n, u in TABLE["axis"].items() if u.of != other}
+    own = {f"{axis.name}_{n}": u.named(axis.name) for n, u in OF_AXIS.items() if u.of != other}
     return own | _of_sensors(signals_of(axis))
 
 

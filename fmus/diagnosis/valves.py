@@ -126,10 +126,8 @@ def valve(a: Axis) -> dict[str, Told]:
     told[HOSE] = *sizes[HOSE], whether(usable * enough) - 1
     # the lag as a mean, by how well it is known; it is told of all valves together
     (size, off), (prior, known) = sizes[DELAY], priors[DELAY]
-    certain, of_delay = (
-        1 / ca.sqrt(1 + (off / DELAYS) ** 2),
-        Fit(m, "mean", [(prior / DELAYS, known / DELAYS)], 0.1, 1),
-    )
+    certain = 1 / ca.sqrt(1 + (off / DELAYS) ** 2)
+    of_delay = Fit(m, "mean", [(prior / DELAYS, known / DELAYS)], 0.1, 1)
     weight = counts * enough / MEMORY
     of_delay.adds(weight, [([certain], certain * size / DELAYS)], SLOW_MEMORY)
     ((size, off),) = of_delay.sizes

@@ -43,9 +43,7 @@ NOISE = 200.0  # N.m, s: of a torque
 CHANGED = 0.6  # hundred kg, from which a payload is another one
 FOLLOWED = 20.0  # s, in which the mean square of H follows
 STEADY, SWINGING, LARGEST = 30.0, 300.0, 1e3  # N, root of that mean square: at least, at the start, at most
-JUMPED = (
-    9.0  # times the mean square: what counts of a larger force, as a payload that changes seems to be one
-)
+JUMPED = 9.0  # times the mean square: what counts of a larger force, which may be a change of payload
 STROKE = 6.0  # lags, for which an error of the force lasts
 END = 0.01  # m, from the end of a stroke
 NEVER = 1e-9  # 1/s, a weight of nothing

@@ -42,6 +42,7 @@ ENOUGH = 180.0  # s of readings, from which nothing found means something
 GAP, LATE = 0.25, 5.0  # s and steps between two readings: from both on it is a gap
 FASTEST, OFF = 3.0, 0.02  # rad/s and rad, m/s and m: what moves more between two readings was spliced
 SPIKE = 20.0  # times the usual changes of a reading, by which a single one is no reading
+ROUNDED = 0.02  # of the largest reading, within which a single change is rounding: a step of 1 bar at 200 bar
 BEYOND = 1.5  # times the full command of a valve
 # settings for readings of each step
 COUNTED = ("still_time", "response_time", "burst_volume", "delay_limit")
@@ -412,7 +413,8 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
             signals[name] = values
         before, after = np.diff(values)[:-1], np.diff(values)[1:]
         usual = float(np.quantile(np.abs(np.diff(values)), 0.95))
-        spikes = np.minimum(np.abs(before), np.abs(after)) > max(SPIKE * usual, 0.2 * np.ptp(values))
+        least = max(SPIKE * usual, 0.2 * np.ptp(values), ROUNDED * np.abs(values).max())
+        spikes = np.minimum(np.abs(before), np.abs(after)) > least
         spikes &= np.abs(before + after) < 0.2 * np.abs(before)
         if rows := [int(k) for k in np.flatnonzero(spikes) + 1]:
             signals[name] = values.copy()

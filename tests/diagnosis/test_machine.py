@@ -309,6 +309,25 @@ def test_a_burst_is_told_when_its_volume_is_lost(fmu):
     assert when == pytest.approx(expected, abs=0.03)
 
 
+def test_a_pressure_that_may_stand_still_tells_no_burst(fmu):
+    """Line A is filled at 70 bar, and less arrives than the return edge says: a burst.
+
+    Not if B has fallen by 9 bar in 60 ms while A is still, which count with the lag for 93 ms: more than
+    half of `still_time`, less than all of it.
+    """
+    seen = load(fmu).components["diagnosis"].interface.variables
+    displacement = np.prod([float(seen[n].starts[0]) for n in ("motor_displacement", "gear_ratio")])
+    speed = 1e-3 / displacement
+    time = np.arange(0, 3, 0.01)
+    falling = 2.5e6 + 9e5 * np.clip((0.16 - time) / 0.06, 0, 1)
+    for line_b, told in ((2.5e6, True), (falling, False)):
+        columns = constant(swing_pressure_a=7e6, swing_pressure_b=line_b, swing_speed=speed)
+        columns |= {"swing_command": np.full(len(time), 4.0), "swing_angle": speed * time}
+        result = run(fmu, columns, stop=1.0, step=0.01, record="*")
+        assert (since(result, "swing_burst_a_state") < np.inf) == told
+        assert since(result, "swing_pressure_a_sensor_state") == np.inf
+
+
 def test_a_pump_that_stands_by_for_a_small_flow_is_no_fault(fmu):
     """4.5 L/min at 32 bar are what 1.55 V ask of a load-sensing machine; 5 V without any flow are not."""
     machine = feric(faults=True)
