@@ -308,7 +308,7 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
             yield from _beam(j.name, -_inside(crane, j) * j.direction, HERE, thick, "steel")
         for end in ends:
             yield from _beam(j.name, HERE, end, thick, colour)
-        for x, z in _pins(crane, j):
+        for x, z in () if j.shape else _pins(crane, j):
             yield from _beam(j.name, HERE, np.array([x, 0, z]), LEAST, "dark")
         if ends:
             yield _round(j.name, "y", (0.3 * thick, 0.3 * thick, 1.1 * thick), (0, -0.55 * thick, 0), "steel")
