@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,10 +48,12 @@ class Timed:
         """The variability of its interval."""
         return self.clock.get("intervalVariability")
 
-    @cached_property
-    def told(self) -> bool:
-        """Does the FMU tell its interval in event mode?"""
-        return self.kind in APERIODIC or (self.kind == "tunable" and self.clock.fraction("interval") is None)
+    def is_asked(self, ticked: bool) -> bool:
+        """Is the FMU asked for its interval after an instant? A declared one may change after a tick only."""
+        if self.kind == "changing":
+            return ticked or self.next is None
+        is_open = self.kind == "tunable" and (ticked or self.clock.fraction("interval") is None)
+        return is_open or self.kind == "countdown"
 
 
 class Clocks:
@@ -150,7 +152,7 @@ class Clocks:
         """After an instant: when do its clocks tick next?"""
         for c in self._timed:
             ticked, goes_on, changed = c in self._due, c.kind != "countdown", False
-            if c.told and (c.kind != "changing" or ticked or c.next is None):
+            if c.is_asked(ticked):
                 qualifier, interval = c.slave.interval(c.clock)
                 goes_on = goes_on and not (c.kind == "changing" and qualifier == UNKNOWN)
                 changed = qualifier == CHANGED and (c.kind != "tunable" or interval != c.interval)
