@@ -148,10 +148,12 @@ def test_a_first_tick_that_the_fmu_tells(unit):
     assert told == "unit.tick: expected a shift of 0 s or more, got -1 s"
 
 
+LATE = [("changing", 3), ("countdown", 3), ("countdown", 4)]
+
+
 @pytest.mark.parametrize(
     ("kind", "odd", "first"),
-    [("tunable", 1, [0.15, 0.55, 0.75]), ("changing", 3, [0.2, 0.6, 0.8]), ("countdown", 3, [0.2, 0.6, 0.8])]
-    + [("countdown", 4, [0.2, 0.6, 0.8])],
+    [("tunable", 1, [0.15, 0.55, 0.75]), *((kind, odd, [0.2, 0.6, 0.8]) for kind, odd in LATE)],
 )
 def test_an_interval_that_is_told_at_another_time(unit, kind, odd, first):
     """A tunable one again at each instant, as changed; aperiodic ones in event mode only."""
@@ -333,9 +335,9 @@ def test_ticks_are_kept_when_the_process_dies(unit, tmp_path):
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the FMU switches on traps of SSE")
 @pytest.mark.parametrize("how", [1, 2])
 def test_traps_that_an_fmu_switches_on_in_an_instant_end_nothing(unit, how):
-    """In each call of a clock, of its variables and of event mode: the run goes on as without, with a warning.
+    """In each call of a clock, of its variables and of event mode; and if getters of these round upwards.
 
-    Also if these round upwards.
+    The run goes on as without, with a warning.
     """
     wires = ["a.fired -> b.come", ("a.y", "b.u", 0.3, 0.1)]
     pair = assemble({"a": unit(), "b": unit(name="b")}, wires, {"a.u": 0.1})
