@@ -384,10 +384,7 @@ class RunningFmu:
         return bool(ticks[0])
 
     def _clock_call(self, function: str, clock: str, *types: Any) -> tuple[Call, Sequence[Any]]:
-        """A bound call of a clock, made once, and its arguments, one value of each type.
-
-        Results that the FMU does not write are NaN or 0.
-        """
+        """A bound call of a clock, made once, and its arguments; what the FMU does not write is NaN or 0."""
         if (function, clock) not in self._clock_calls:
             references = self.fmu.references([self.interface.variables[clock].reference])
             start = function == "SetClock"
@@ -416,15 +413,13 @@ class RunningFmu:
         self, clock: FmuVariable, as_decimal: str, as_fraction: str, *more: Any
     ) -> tuple[Fraction, Any]:
         """A time of a clock [s], exactly as the FMU gives it, and the last of the other results."""
-        if clock.get("supportsFraction") == "true":
-            function, *types = as_fraction, ctypes.c_uint64, ctypes.c_uint64
-        else:
-            function, *types = as_decimal, ctypes.c_double
-        call, results = self._clock_call(function, clock.name, *types, *more)
+        exact = clock.get("supportsFraction") == "true"
+        types: Sequence[Any] = (ctypes.c_uint64,) * 2 if exact else (ctypes.c_double,)
+        call, results = self._clock_call(as_fraction if exact else as_decimal, clock.name, *types, *more)
         call()
         if more and results[-1][0] == UNKNOWN:
             return Fraction(0), results[-1]
-        if function == as_fraction:
+        if exact:
             return Fraction(results[0][0], results[1][0] or 1), results[-1]
         if not np.isfinite(seconds := results[0][0]):
             name, what = f"{self.name}.{clock.name}", "a shift" if as_decimal in SHIFT else "an interval"
@@ -511,8 +506,7 @@ class CoSimulationFmu(RunningFmu):
     def exit(self) -> None:
         """Leave initialisation mode, with the first event if there is event mode, and enter step mode.
 
-        Before, clocks that tick by time tell intervals that are not declared (FMI 3.0.2, 2.2.8.3). Some FMUs
-        tell those of countdowns in event mode only.
+        Before, clocks that tick by time tell intervals that are not declared (FMI 3.0.2, 2.2.8.3).
         """
         clocks = [v for v in self.interface.of("input") if v.kind == "Clock"] if self.event_mode else []
         for v in clocks:
@@ -522,7 +516,7 @@ class CoSimulationFmu(RunningFmu):
             try:
                 qualifier, interval = self.interval(v)
             except CallFailed as failed:
-                if kind != "countdown" or failed.status == FATAL:
+                if kind != "countdown" or failed.status == FATAL:  # some tell it in event mode only
                     raise
                 qualifier, self.fmu.worst = UNKNOWN, WARNING
             if qualifier == UNKNOWN and kind not in APERIODIC:

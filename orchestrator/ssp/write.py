@@ -182,27 +182,23 @@ def _variable(s: System, port: Port) -> FmuVariable:
 def _places(s: System) -> Places:
     """The elements that are written as a part of an array, in SSP 2.0.
 
-    Those of the system are if none is missing, each has the indices of its variable, and all are declared
-    alike.
+    Those of the system are if none is missing, each has the indices of its variable, and all have one unit.
     """
-    found = dict[Port, tuple[Port, str]]()
-    for name, component in s.components.items():
-        for v in component.interface.variables.values():
-            if v.array:
-                found[Port(name, v.name)] = Port(name, v.array.name), _indices(v.name)
+    found = {
+        Port(component.name, name): (Port(component.name, v.array.name), _indices(name))
+        for component in s.components.values()
+        for name, v in component.interface.variables.items()
+        if v.array
+    }
     every: tuple[Mapping[str, Inlet | Outlet], ...] = s.inputs, s.outputs
     for ends in every:
         for name, elements in grouped(ends.values(), lambda e: e.name.rpartition("[")[0]).items():
-            variables = [_variable(s, Port("", e.name)) for e in elements]
-            array = variables[0].array
-            if array is None or name in ends or len(elements) != array.size:
-                continue
-            alike = [(e.unit, e.type, e.items) if isinstance(e, Inlet) else e.unit for e in elements]
-            own = all(
-                v.array and v.array.shape == array.shape and _indices(v.name) == _indices(e.name)
-                for v, e in zip(variables, elements, strict=True)
-            )
-            if own and alike.count(alike[0]) == len(alike):
+            pairs = [(e, _variable(s, Port("", e.name))) for e in elements]
+            own = [
+                (v.array and v.array.shape, _indices(v.name) == _indices(e.name), e.unit) for e, v in pairs
+            ]
+            array = pairs[0][1].array
+            if array and name not in ends and own == [(array.shape, True, own[0][2])] * array.size:
                 found |= {Port("", e.name): (Port("", name), _indices(e.name)) for e in elements}
     return found
 
