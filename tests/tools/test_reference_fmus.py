@@ -41,7 +41,7 @@ def built(model: str, version: int, folder: Path) -> Path:
     ("model", "version"), [*((m, v) for m in MODELS for v in (2, 3)), ("StateSpace", 3)], ids=str
 )
 def test_the_shipped_results_are_those_of_a_run(tmp_path, model, version):
-    """Each column that the FMU of this version has, that of FMI 3 all of them; texts are those of the start."""
+    """Each column that the FMU of this version has, in FMI 3 all of them; texts are those of the start."""
     names, *rows = csv.reader((ROOT / model / f"{model}_out.csv").read_text("utf-8").splitlines())
     time = [float(row[0]) for row in rows]
     fmu = load(built(model, version, tmp_path))
