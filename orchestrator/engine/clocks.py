@@ -18,7 +18,7 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import grouped
 from orchestrator.engine.network import Network, differing
-from orchestrator.fmi.cosimulation import APERIODIC, CHANGED, RunningFmu
+from orchestrator.fmi.cosimulation import APERIODIC, CHANGED, UNKNOWN, RunningFmu
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled
 from orchestrator.ssp.system import Port
@@ -47,6 +47,13 @@ class Timed:
     def kind(self) -> str:
         """The variability of its interval."""
         return self.clock.get("intervalVariability")
+
+    def is_asked(self, ticked: bool) -> bool:
+        """Is the FMU asked for its interval after an instant? A declared one may change after a tick only."""
+        if self.kind == "changing":
+            return ticked or self.next is None
+        is_open = self.kind == "tunable" and (ticked or self.clock.fraction("interval") is None)
+        return is_open or self.kind == "countdown"
 
 
 class Clocks:
@@ -111,10 +118,11 @@ class Clocks:
         self._network.store(port, self._network.slaves[port.component].get(port.variable))
 
     def _begun(self, port: Port, slave: RunningFmu, clock: FmuVariable) -> Timed:
-        """A clock with its first tick; one of a countdown may tell it later."""
+        """A clock with its first tick; an aperiodic one may tell it later."""
         begun = Timed(port, slave, clock)
-        declared = clock.fraction("interval"), clock.fraction("shift") or Fraction(0)
-        interval, shift = slave.first_ticks.get(clock.name, declared)
+        interval, shift = slave.first_ticks.get(clock.name, (None, Fraction(0)))
+        if interval is None and begun.kind not in APERIODIC:
+            interval, shift = clock.fraction("interval"), clock.fraction("shift") or shift
         if interval is not None:
             self._set_interval(begun, interval)
             begun.schedule(self._start + shift)
@@ -143,12 +151,14 @@ class Clocks:
     def finish(self) -> None:
         """After an instant: when do its clocks tick next?"""
         for c in self._timed:
-            ticked, changed = c in self._due, False
-            if c.kind in ("tunable", "countdown") or (ticked and c.kind == "changing"):
+            ticked, goes_on, changed = c in self._due, c.kind != "countdown", False
+            if c.is_asked(ticked):
                 qualifier, interval = c.slave.interval(c.clock)
-                if changed := qualifier == CHANGED:
+                goes_on = goes_on and not (c.kind == "changing" and qualifier == UNKNOWN)
+                changed = qualifier == CHANGED and (c.kind != "tunable" or interval != c.interval)
+                if changed:
                     self._set_interval(c, interval)
-            if c.interval is not None and (changed or (ticked and c.kind != "countdown")):
+            if c.interval is not None and (changed or (ticked and goes_on)):
                 c.schedule(self._now + c.interval)  # a new interval begins now
             elif ticked:
                 c.schedule(None)

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import Ended, Problem
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.clocks import Clocks
 from orchestrator.engine.coupling_inputs import CouplingInputs
@@ -95,7 +95,7 @@ class Instants:
         """The first instant, at the start, from which on clocks tick."""
         if any(slave.interface.has_clocks for slave in self._members.values()):
             self._clocks = Clocks(self._network, self._times.start)
-        self._instant(self._times.start)
+        self._instant(self._times.start, {})
 
     def saved(self) -> list[Any]:
         """The events so far, for a saved run."""
@@ -120,13 +120,16 @@ class Instants:
             for name, slave in self._members.items()
             if slave.next_event <= t + self._state.tolerance and name not in asked
         ]
-        changed = self._instant(t)
+        changed = dict[str, None]()
+        try:
+            self._instant(t, changed)
+        except Ended:
+            self._append(t, [*asked, *changed])
+            raise
         for name in asked:  # an event at the beginning of a step that changes nothing is later
             struct = self._network.components[name].struct
             struct.locates = struct.locates and (bool(changed) or t > self._time)
-        causes = tuple(dict.fromkeys([*asked, *changed]))
-        self.happened.append(Event(t, causes))
-        self._sink.append_events(self.happened[-1:])
+        self._append(t, [*asked, *changed])
         self._latest.extend(changed or asked)
         self._close = self._close + 1 if t - self._time <= CLOSE * self._times.step else 0
         self._time = t
@@ -135,28 +138,31 @@ class Instants:
             expected = f"expected time to pass between events, got {self._close} events without progress"
             raise Problem(f"{names}: t = {t:.9g} s: {expected} (chattering)")
 
-    def _instant(self, t: float) -> list[str]:
-        """Take all members through event mode; returns the signals, not continuous, that have changed.
+    def _append(self, t: float, causes: Sequence[str]) -> None:
+        self.happened.append(Event(t, tuple(dict.fromkeys(causes))))
+        self._sink.append_events(self.happened[-1:])
+
+    def _instant(self, t: float, changed: dict[str, None]) -> None:
+        """Take all members through event mode; `changed` gets the signals, not continuous, that change.
 
         Ticks at one time that are not due together, as those after a countdown of 0, follow each other.
         """
         if not self._clocks:
-            return self._once(t)
-        state, changed = self._state, list[str]()
+            return self._once(t, changed)
+        state = self._state
         for _ in range(MAX_EVENT_ITERATIONS):
             due = self._clocks.begin(t, state.tolerance)
-            changed += [*map(str, due), *self._once(t)]
+            changed |= dict.fromkeys(map(str, due))
+            self._once(t, changed)
             if self._clocks.next > t + state.tolerance:
                 state.next = min(state.next, self._clocks.next)
-                return [*dict.fromkeys(changed)]
+                return None
         names = ", ".join(map(str, due))
         raise Unsettled(
             f"{names}: t = {t:.9g} s: expected time to pass between ticks, got {MAX_EVENT_ITERATIONS}"
         )
 
-    def _once(self, t: float) -> list[str]:
-        changed = dict[str, None]()
-
+    def _once(self, t: float, changed: dict[str, None]) -> None:
         def copied() -> list[str]:
             found = self._copied(t)
             changed.update(dict.fromkeys(found))
@@ -177,7 +183,6 @@ class Instants:
             if not time > t:
                 raise Problem(f"{name}: expected the next event after t = {t:.9g} s, got {time:.9g} s")
         self._state.next = min(times.values(), default=np.inf)
-        return [*changed]
 
     def _copied(self, t: float) -> list[str]:
         """Copy values along all connections; returns the signals, not continuous, that have changed."""

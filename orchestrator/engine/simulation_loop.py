@@ -346,11 +346,17 @@ class SimulationLoop:
 
     def begin(self, resumed: bool = False) -> None:
         """Exchange all values at the start, and record them; resumed: a saved run goes on instead."""
+        ended = None
         if self._instants:
-            self._instants.begin()
+            try:
+                self._instants.begin()
+            except Ended as raised:  # after the row of the start
+                ended = raised
         self._binding.call("simulation_begin")
         if not resumed:
             self.recorder.collect()
+        if ended:
+            raise ended
 
     def saved(self) -> dict[str, Any]:
         """What a saved state has of the loop besides its memory."""

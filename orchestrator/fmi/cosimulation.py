@@ -27,7 +27,7 @@ from orchestrator.fmi.calls import (
     to_ctypes,
 )
 from orchestrator.fmi.description import FmuVariable, Value
-from orchestrator.fmi.instance import AfterCall, FmuInstance, resources_location, settle
+from orchestrator.fmi.instance import AfterCall, CallFailed, FmuInstance, resources_location, settle
 from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
@@ -384,10 +384,11 @@ class RunningFmu:
         return bool(ticks[0])
 
     def _clock_call(self, function: str, clock: str, *types: Any) -> tuple[Call, Sequence[Any]]:
-        """A bound call of a clock, made once, and its arguments, one value of each type, which begin as 1."""
+        """A bound call of a clock, made once, and its arguments; what the FMU does not write is NaN or 0."""
         if (function, clock) not in self._clock_calls:
             references = self.fmu.references([self.interface.variables[clock].reference])
-            arguments = [(type_ * 1)(1) for type_ in types]
+            start = function == "SetClock"
+            arguments = [(type_ * 1)(np.nan if type_ is ctypes.c_double else start) for type_ in types]
             call = self.fmu.bound(function, *references, *arguments, variables=[clock])
             self._clock_calls[function, clock] = call, arguments
         return self._clock_calls[function, clock]
@@ -412,14 +413,14 @@ class RunningFmu:
         self, clock: FmuVariable, as_decimal: str, as_fraction: str, *more: Any
     ) -> tuple[Fraction, Any]:
         """A time of a clock [s], exactly as the FMU gives it, and the last of the other results."""
-        if clock.get("supportsFraction") == "true":
-            call, results = self._clock_call(as_fraction, clock.name, ctypes.c_uint64, ctypes.c_uint64, *more)
-            call()
-            return Fraction(results[0][0], results[1][0] or 1), results[-1]
-        call, results = self._clock_call(as_decimal, clock.name, ctypes.c_double, *more)
+        exact = clock.get("supportsFraction") == "true"
+        types: Sequence[Any] = (ctypes.c_uint64,) * 2 if exact else (ctypes.c_double,)
+        call, results = self._clock_call(as_fraction if exact else as_decimal, clock.name, *types, *more)
         call()
         if more and results[-1][0] == UNKNOWN:
             return Fraction(0), results[-1]
+        if exact:
+            return Fraction(results[0][0], results[1][0] or 1), results[-1]
         if not np.isfinite(seconds := results[0][0]):
             name, what = f"{self.name}.{clock.name}", "a shift" if as_decimal in SHIFT else "an interval"
             raise Problem(f"{name}: expected {what} in seconds, got {seconds}")
@@ -510,12 +511,19 @@ class CoSimulationFmu(RunningFmu):
         clocks = [v for v in self.interface.of("input") if v.kind == "Clock"] if self.event_mode else []
         for v in clocks:
             kind = v.get("intervalVariability")
-            if kind == "triggered" or v.fraction("interval") is not None:
+            if kind == "triggered" or (kind not in APERIODIC and v.fraction("interval") is not None):
                 continue
-            qualifier, interval = self.interval(v)
-            delay = interval if kind in APERIODIC else self.shift(v)
-            if kind != "countdown" or qualifier == CHANGED:
-                self.first_ticks[v.name] = interval, delay
+            try:
+                qualifier, interval = self.interval(v)
+            except CallFailed as failed:
+                if kind != "countdown" or failed.status == FATAL:  # some tell it in event mode only
+                    raise
+                qualifier, self.fmu.worst = UNKNOWN, WARNING
+            if qualifier == UNKNOWN and kind not in APERIODIC:
+                expected = "expected an interval in initialisation mode, got not yet known"
+                raise Problem(f"{self.name}.{v.name}: {expected}")
+            if qualifier == CHANGED or (qualifier != UNKNOWN and kind != "countdown"):
+                self.first_ticks[v.name] = interval, interval if kind in APERIODIC else self.shift(v)
         super().exit()
         if self.event_mode:
             self.in_events = True
@@ -627,7 +635,8 @@ class CoSimulationFmu(RunningFmu):
         if status:
             self.fmu.check_status(status, "the step")
         if end.early:
-            forbidden = ", expected its time" if self.event_mode else ", which was not allowed"
+            lacks_time = np.isnan(end.reached) and self.event_mode and self.interface.early_return
+            forbidden = ", expected its time" if lacks_time else ", which was not allowed"
             text = f"ended early at {at}{'' if outside else forbidden}"
             raise Problem(self.log.error_message("the step", text))
         if end.event and self.event_mode:

@@ -130,6 +130,9 @@ def _connected(flat: FlatStructure, system: System) -> System:
                 raise Problem(f"{source} -> {target}: expected one of {', '.join(SINKS)}, got {causality}")
         elif source.component and source.component not in flat.sources:
             notes.append(f"{target} is not recorded: nothing feeds {source}")
+        elif not source.component and source.variable not in inputs:
+            expected = "expected a scalar, or an element of an array that feeds an FMU"
+            raise Problem(f"{source} -> {target}: {expected}, got {source}")
         else:
             unit = flat.declared(target).unit or system.variable(source).unit
             outputs[target.variable] = Outlet(target.variable, unit, source, linear)

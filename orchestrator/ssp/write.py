@@ -12,12 +12,13 @@ from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_zip
+from orchestrator.base.text import grouped
 from orchestrator.base.units import IDENTITY, DeclaredUnit
 from orchestrator.base.xml import generation_tool, rendered_xml
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.annotations import COMMON, SHARED, coupling_attributes
 from orchestrator.ssp.common_elements import NAMESPACES, TYPES, defined_units
-from orchestrator.ssp.system import RESOURCES, Component, Inlet, Port, System
+from orchestrator.ssp.system import RESOURCES, Component, Inlet, Outlet, Port, System
 from orchestrator.ssp.system_structure import DEFINITION, FMU
 
 Values = Mapping[str, tuple[FmuVariable, Value]]  # name of a parameter -> the variable it sets, and its value
@@ -26,6 +27,7 @@ DESCRIPTION = "modelDescription.xml"
 NOT_COPIED = (".fmu", ".ssp", ".ssd")
 WIDTH, GAP, PITCH = 70.0, 50.0, 5.0  # [mm] of a drawn component, between two, between connectors
 Point = tuple[float, float]
+Places = Mapping[Port, tuple[Port, str]]  # element of an array -> connector of the array, indices in it
 
 
 def write_ssp(
@@ -116,7 +118,8 @@ def _typed(values: Values) -> Values:
 
 def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
     """The content of SystemStructure.ssd."""
-    ports = {name: _ports(s, c, version) for name, c in s.components.items()}
+    places = {} if version == "1.0" else _places(s)
+    ports = {name: _ports(s, c, places) for name, c in s.components.items()}
     variables = {name: {**c.interface.variables, **c.interface.arrays} for name, c in s.components.items()}
     units = [v.unit for of_component in variables.values() for v in of_component.values()]
     units += [i.unit for i in s.inputs.values()] + [o.unit for o in s.outputs.values()]
@@ -131,7 +134,7 @@ def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
         system=s,
         fmu_type=FMU,
         identity=IDENTITY,
-        connectors=list(_system_connectors(s, version)),
+        connectors=list(_system_connectors(s, places)),
         start=_typed(starts),
         bound=bound,
         boxes={name: _box(k, sides) for k, (name, sides) in enumerate(ports.items())},
@@ -145,7 +148,7 @@ def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
             )
             for name, c in s.components.items()
         },
-        connections=list(_connections(s, version)),
+        connections=list(_connections(s, places)),
         units=defined_units(units),
         decimal=None if step is None else f"{step:.12f}".rstrip("0"),  # OMSimulator allows no exponent
         coupling=coupling_attributes(s.suggestion),
@@ -176,33 +179,44 @@ def _variable(s: System, port: Port) -> FmuVariable:
     return s.variable(inlet.targets[0][0] if inlet.targets else port)
 
 
-def _place(s: System, port: Port, version: str) -> tuple[Port, str]:
-    """The connector of a port, in SSP 2.0 that of its whole array, and the indices of its element there."""
-    variable = _variable(s, port)
-    array = variable.array
-    if array is None or version == "1.0":
-        return port, ""
-    parts = [e.removeprefix(array.name) for e in array.elements]
-    part = parts[variable.position]
-    name = array.name if port.component else port.variable.removesuffix(part)
-    whole = port.component or {f"{name}{p}" for p in parts} <= {
-        *(s.inputs if port.variable in s.inputs else s.outputs)
+def _places(s: System) -> Places:
+    """The elements that are written as a part of an array, in SSP 2.0.
+
+    Those of the system are if none is missing, each has the indices of its variable, and all have one unit.
+    """
+    found = {
+        Port(component.name, name): (Port(component.name, v.array.name), _indices(name))
+        for component in s.components.values()
+        for name, v in component.interface.variables.items()
+        if v.array
     }
-    if not whole or name == port.variable:
-        return port, ""
-    return Port(port.component, name), part[1:-1].replace(",", " ")
+    every: tuple[Mapping[str, Inlet | Outlet], ...] = s.inputs, s.outputs
+    for ends in every:
+        for name, elements in grouped(ends.values(), lambda e: e.name.rpartition("[")[0]).items():
+            pairs = [(e, _variable(s, Port("", e.name))) for e in elements]
+            own = [
+                (v.array and v.array.shape, _indices(v.name) == _indices(e.name), e.unit) for e, v in pairs
+            ]
+            array = pairs[0][1].array
+            if array and name not in ends and own == [(array.shape, True, own[0][2])] * array.size:
+                found |= {Port("", e.name): (Port("", name), _indices(e.name)) for e in elements}
+    return found
 
 
-def _ports(s: System, component: Component, version: str) -> tuple[list[str], list[str]]:
+def _indices(element: str) -> str:
+    """The indices of an element of an array, as connections have them."""
+    return element.rpartition("[")[2].rstrip("]").replace(",", " ")
+
+
+def _ports(s: System, component: Component, places: Places) -> tuple[list[str], list[str]]:
     """Names of the connected inputs and of all outputs of a component, in the order of the FMU."""
     fed = {c.target for c in s.connections} | {p for i in s.inputs.values() for p, _ in i.targets}
     read = {c.source for c in s.connections} | {o.source for o in s.outputs.values()}
     ports = [(Port(component.name, v.name), v) for v in component.interface.variables.values()]
-    inputs = [v.name for port, v in ports if port in fed]
-    outputs = [v.name for port, v in ports if (v.causality == "output" or port in read) and _has_type(v)]
+    inputs = [port for port, v in ports if port in fed]
+    outputs = [port for port, v in ports if (v.causality == "output" or port in read) and _has_type(v)]
     first, last = (
-        [*dict.fromkeys(_place(s, Port(component.name, name), version)[0].variable for name in names)]
-        for names in (inputs, outputs)
+        [*dict.fromkeys(places.get(p, (p, ""))[0].variable for p in of)] for of in (inputs, outputs)
     )
     return first, last
 
@@ -219,11 +233,12 @@ def _beside(names: Collection[str], x: float) -> Iterator[tuple[str, Point]]:
 
 
 def _system_connectors(
-    s: System, version: str
+    s: System, places: Places
 ) -> Iterator[tuple[str, str, FmuVariable, DeclaredUnit | None, Point]]:
     """Connectors of the system: inputs on the left side, outputs on the right side."""
     for kind, ends, x in (("input", s.inputs, 0.0), ("output", s.outputs, 1.0)):
-        first = {_place(s, Port("", name), version)[0].variable: name for name in reversed([*ends])}
+        ports = [(port := Port("", name), *places.get(port, (port, ""))) for name in reversed([*ends])]
+        first = {connector.variable: port.variable for port, connector, _ in ports}
         for name, at in _beside([*first][::-1], x):
             variable = _variable(s, Port("", first[name]))
             whole = variable if name == first[name] else variable.array or variable
@@ -242,7 +257,7 @@ def _start(s: System, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
     return replace(variable, unit=inlet.unit), value
 
 
-def _connections(s: System, version: str) -> Iterator[tuple[Any, ...]]:
+def _connections(s: System, places: Places) -> Iterator[tuple[Any, ...]]:
     """Connections between components, then those of inputs and outputs of the system.
 
     Each with the indices at both ends, its map, the type of values in its table, and whether the reader must
@@ -254,7 +269,7 @@ def _connections(s: System, version: str) -> Iterator[tuple[Any, ...]]:
     ends = [(c.source, c.target, c.map) for c in s.connections]
     ends += [(Port("", i.name), p, linear) for i in s.inputs.values() for p, linear in i.targets]
     ends += [(o.source, Port("", o.name), o.map) for o in s.outputs.values()]
-    placed = [(*_place(s, source, version), *_place(s, target, version)) for source, target, _ in ends]
+    placed = [(*places.get(a, (a, "")), *places.get(b, (b, ""))) for a, b, _ in ends]
     together = Counter(
         (*place[::2], linear)
         for place, (*_, linear) in zip(placed, ends, strict=True)

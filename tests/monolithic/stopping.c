@@ -15,7 +15,7 @@
  * after t = 0.55; 7 requests the end at its first event. After t = 0.5 it stops early 8 at NaN, 9 before its step, 10 after it;
  * 11 the next event is at NaN; from 100 on, the seed: at random one of
  * these, 13 an event anywhere in its step, 14 at its end, an update, or nothing;
- * 15 the third event is the end.
+ * 15 the third event is the end; 16 a further event at the time of the second one is, 17 the one of the start.
  */
 #include <math.h>
 #include <stdlib.h>
@@ -34,7 +34,8 @@ typedef struct {
     double time, r[REALS];
     int i[INTEGERS];
     int mode; /* 0 before steps, 1 in steps, 2 in event mode */
-    int used, early, rests;
+    int used, early, rests, instants, ends;
+    unsigned *random;
 } Instance;
 
 #define NAMED(m, n) ((m)->model == (n))
@@ -46,12 +47,12 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String n, fmi3String g, fmi3String 
     Instance *m = calloc(1, sizeof *m);
     for (int j = 0; j < MODELS; j++)
         if (!strcmp(g, names[j])) m->model = (Model)j;
-    m->used = used, m->early = early;
+    m->used = used, m->early = early, m->random = calloc(1, sizeof *m->random);
     m->r[LOW] = 0.4, m->r[HIGH] = 0.6, m->r[H] = 1.0, m->r[E] = 0.7, m->r[PERIOD] = 1.0, m->r[FALL] = 9.81;
     m->i[ON] = NAMED(m, RELAY) || NAMED(m, HEATER), m->i[COLD] = 1;
     return m;
 }
-void fmi3FreeInstance(fmi3Instance c) { free(c); }
+void fmi3FreeInstance(fmi3Instance c) { free(((Instance *)c)->random), free(c); }
 const char *fmi3GetVersion(void) { return "3.0"; }
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean b, size_t n, const fmi3String s[]) { return (void)c, (void)b, (void)n, (void)s, fmi3OK; }
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float64 b, fmi3Float64 t, fmi3Boolean d, fmi3Float64 e) {
@@ -92,9 +93,8 @@ WHOLES(Boolean)
 
 /* Not of a state: a step that is repeated has another one. */
 static unsigned chance(const Instance *m) {
-    static unsigned random = 0;
-    random = (random ? random : (unsigned)m->i[HOW]) * 1103515245u + 12345u;
-    return random >> 16;
+    *m->random = (*m->random ? *m->random : (unsigned)m->i[HOW]) * 1103515245u + 12345u;
+    return *m->random >> 16;
 }
 
 /* The misuse that is due. */
@@ -160,6 +160,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
     int inside = when < t + h, stop = inside && m->i[HOW] != 1 && m->early && m->used;
     *event = *end = *early = fmi3False, *reached = t, (void)p;
     if (m->mode != 1 || (m->i[HOW] == 6 && t + h > 0.55)) return m->mode != 1 ? fmi3Error : fmi3Discard;
+    if (m->i[HOW] == 16 && m->i[COUNT] == 2 && m->early) return *event = *early = fmi3True, m->time = t, m->ends = 1, fmi3OK;
     if (stop && m->i[HOW] == 2) when = t;
     move(m, t, stop ? when - t : h);
     *event = m->used && when <= t + h, *early = stop, *reached = m->time;
@@ -181,7 +182,9 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *a, fmi3Boolean 
                                     fmi3Float64 *e) {
     Instance *m = c;
     *a = update(m) != 0;
-    *n = *v = fmi3False, *t = m->i[HOW] == 15 && m->i[COUNT] == 3;
+    m->instants += m->time == 0.0;
+    *n = *v = fmi3False, *t = (m->i[HOW] == 15 && m->i[COUNT] == 3) || m->ends || (m->i[HOW] == 17 && m->instants >= 2);
+    if (*t && m->i[HOW] > 15) m->r[LEVEL] = 99.0;
     const int wrong = misuse(m);
     *d = NAMED(m, TICKER) || wrong == 4 || wrong == 11;
     *e = wrong == 4 ? m->time - 0.1 : wrong == 11 ? NAN : following(m);

@@ -268,6 +268,8 @@ def test_a_master_of_ones_own_has_events_at_the_end_of_its_steps(stopping):
     exact = run(ticking, stop=1.0, step=0.1, master=own)
     np.testing.assert_allclose([e.time for e in exact.events], [0.25, 0.5, 0.75, 1.0], atol=1e-9)
     assert exact["s.s"][-1] == pytest.approx(0.25 + 0.5 + 0.75, abs=1e-9)
+    told = problem(lambda: run(system, stop=2.0, step=0.13, set={"relay.how": 100}, master=own))
+    assert re.fullmatch(r"relay: the step at t = \S+ s ended early at t = \S+ s, which was not allowed", told)
 
 
 def test_a_signal_that_is_nan_is_no_event(stopping):
@@ -395,13 +397,20 @@ def test_an_fmu_may_end_the_run_at_an_event(stopping):
     assert result.time[-1] == 0.25
 
 
+@pytest.mark.parametrize(("how", "last"), [(15, 3), (16, 2), (17, 0)])
 @pytest.mark.parametrize("period", [0.2, 0.21])
-def test_the_row_of_the_event_that_ends_a_run_is_kept(stopping, period):
-    """In event mode, at a point or between two: the values after it, of all FMUs, are the last row."""
+def test_the_row_of_the_event_that_ends_a_run_is_kept(stopping, period, how, last):
+    """In event mode, at a point or between two: the values after it, of all FMUs, are the last row.
+
+    Also at a second event of the same time, and in the first instant.
+    """
     system = assemble({"t": stopping("ticker"), "s": stopping("sum")}, ["t.level -> s.u"])
-    given = {"t.how": 15, "t.period": period}
+    given = {"t.how": how, "t.period": period}
     result = run(system, set=given, stop=1.0, step=0.1, isolate=False)
-    assert result.time[-1] == pytest.approx(3 * period, abs=1e-9)
-    assert (result["t.count"][-1], result["t.level"][-1]) == (3, 3.0)
-    assert result["s.s"][-1] == pytest.approx((1 + 2) * period, abs=1e-9)
-    assert (np.diff(result.time) > 0).all()
+    assert result.time[-1] == pytest.approx(last * period, abs=1e-9)
+    assert (result["t.count"][-1], result["t.level"][-1]) == (last, last if how < 16 else 99.0)
+    assert result["s.s"][-1] == pytest.approx(sum(range(last)) * period, abs=1e-9)
+    assert (np.diff(result.time) > 1e-9).all()
+    if last:
+        assert result.events[-1].time == pytest.approx(last * period, abs=1e-9)
+        assert result.events[-1].causes == ("t", "t.level")

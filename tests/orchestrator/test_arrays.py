@@ -281,9 +281,39 @@ def test_arrays_of_a_system_are_written_as_such(bank, tmp_path):
     assert same(load(again))[:3] == same(before)[:3]  # a file has the start values of its inputs, too
 
 
+def crossed(*ends, unit="m"):
+    """Wires of the elements of w to other ones of a.u, and scalars of these names, the second in a unit."""
+    wires = [wire(f"w[{k}]", "a.u", extra=f'endIndices="{end}"') for k, end in enumerate(ends, 1)]
+    units = ["m", unit, "m"]
+    return wires, "".join(connector(f"w[{k}]", "input", u) for k, u in enumerate(units, 1))
+
+
+@pytest.mark.parametrize(
+    ("wires", "ends", "scalars"),
+    [
+        (*crossed(1, 2, 3), 0),
+        (*crossed(2, 1, 3), 3),
+        (*crossed(1, 2, 3, unit="mm"), 3),
+        ([wire("w", "a.u", extra='startIndices="1" endIndices="1"')], sized("w", "input", "3"), 1),
+    ],
+)
+def test_elements_that_are_no_array_are_connectors_of_their_own(bank, tmp_path, wires, ends, scalars):
+    """Crosswise, in several units, or alone: none of them is in an array w, and all are read back."""
+    before = load(file(bank, tmp_path, wires, "", ends))
+    again = write_ssp(before, tmp_path / "again.ssp", version="2.0")
+    text = zipfile.ZipFile(again).read("SystemStructure.ssd").decode()
+    assert (text.count('Connector name="w['), text.count('Connector name="w"')) == (scalars, not scalars)
+    assert same(load(again))[:3] == same(before)[:3]
+
+
 @pytest.mark.parametrize(
     ("wires", "more", "message"),
     [
+        (
+            ["w -> v"],
+            {"connectors": sized("w", "input", "3") + sized("v", "output", "3")},
+            "w -> v: expected a scalar",
+        ),
         (["a.y -> b.u"], {}, "a.y -> b.u: expected equal shapes, got (2) and (3)"),
         (["a.y -> b.u"], {"bindings": TWO, "second_size": "3"}, "b.u: expected a Dimension for each size"),
         ([], {"bindings": inline(("k", '<ssv:Float64 value="1 2"/>'))}, "'k': expected 3 values, got 2"),

@@ -6,6 +6,7 @@ The FMU of ticks.c refuses an access to a variable whose clock does not tick.
 import csv
 import platform
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from kit.mistakes import problem
 from zoo.faulty import faulty
 
 from orchestrator import Coupling, Master, RunFailed, assemble, load, run, write_ssp
-from orchestrator.engine.clocks import Timed
+from orchestrator.engine.clocks import Clocks, Timed
 from orchestrator.engine.network import Texts
 from orchestrator.engine.result import Card, Event, write_events
 from orchestrator.ssp.system import Port
@@ -94,14 +95,15 @@ def test_a_sampled_controller(unit, once, master, able):
 
 
 def test_intervals_that_change(unit):
-    """0.2 s after an odd tick, 0.1 s after an even one; a countdown ends when the FMU tells no more."""
-    changing = run(str(unit('intervalVariability="changing" intervalDecimal="0.3"')), step=0.04, stop=1.0)
-    np.testing.assert_allclose(ticks(changing, "unit.tick"), [0.2, 0.3, 0.5, 0.6, 0.8, 0.9], atol=ROUNDING)
-    first = run(
-        str(unit('intervalVariability="changing"', "first")), step=0.04, stop=1.0
-    )  # after an interval
-    np.testing.assert_allclose(ticks(first, "unit.tick"), [0.1, 0.3, 0.4, 0.6, 0.7, 0.9, 1.0], atol=ROUNDING)
-    down = unit('intervalVariability="countdown"', "down")
+    """0.2 s after an odd tick, 0.1 s after an even one; a countdown ends when the FMU tells no more.
+
+    Intervals and shifts of these clocks in a description are none.
+    """
+    expected = [0.1, 0.3, 0.4, 0.6, 0.7, 0.9, 1.0]
+    for name, declared in {"first": "", "other": ' intervalDecimal="0.3" shiftDecimal="0.5"'}.items():
+        changing = run(str(unit(f'intervalVariability="changing"{declared}', name)), step=0.04, stop=1.0)
+        np.testing.assert_allclose(ticks(changing, "unit.tick"), expected, atol=ROUNDING)
+    down = unit('intervalVariability="countdown" intervalDecimal="0.3"', "down")
     counted = run(str(down), step=0.04, stop=1.0, set={"unit.most": 4})
     np.testing.assert_allclose(ticks(counted, "unit.tick"), [0.1, 0.3, 0.4, 0.6], atol=ROUNDING)
     at_once = run(str(down), step=0.04, stop=0.2, set={"unit.most": 3, "unit.period": 0.0})
@@ -113,12 +115,15 @@ def test_intervals_that_change(unit):
 
 
 def test_a_million_ticks_do_not_drift():
-    """Tick k is exactly at shift + k interval, in the last hundred thousand, its time the nearest float."""
+    """Tick k is exactly at shift + k interval, in the last fifty thousand, its time the nearest float."""
     shift, interval = Fraction(1, 7), Fraction(1, 3000)
-    clock = Timed(Port("unit", "tick"), None, None, interval)
-    clock.schedule(shift + 900_000 * interval)
-    for _ in range(100_000):
-        clock.schedule(clock.next + clock.interval)
+    kind = SimpleNamespace(get={"intervalVariability": "constant"}.get)
+    clocks, clock = object.__new__(Clocks), Timed(Port("unit", "tick"), None, kind, interval)
+    clocks._timed = [clock]
+    clock.schedule(shift + 950_000 * interval)
+    for _ in range(50_000):
+        clocks.begin(clocks.next, 1e-11)
+        clocks.finish()
     assert clock.next == shift + 1_000_000 * interval
     assert clock.time == float(clock.next)
 
@@ -134,10 +139,37 @@ def test_a_first_tick_that_the_fmu_tells(unit):
     declared = unit('intervalVariability="tunable" shiftDecimal="0.5"', "declared")
     found = ticks(run(str(declared), step=0.05, stop=1.0, set=given), "unit.tick")
     np.testing.assert_allclose(found, [0.5, 0.9], atol=ROUNDING)  # after a tick 0.2 (1 + 1)
+    both = unit('intervalVariability="tunable" intervalDecimal="0.3" shiftDecimal="0.5"', "both")
+    found = ticks(run(str(both), step=0.05, stop=1.5, set=given), "unit.tick")
+    np.testing.assert_allclose(found, [0.5, 0.9, 1.1, 1.5], atol=ROUNDING)
     told = problem(
         lambda: run(str(unit('intervalVariability="fixed"')), stop=1.0, step=0.1, set={"unit.delay": -1})
     )
     assert told == "unit.tick: expected a shift of 0 s or more, got -1 s"
+
+
+LATE = [("changing", 3), ("countdown", 3), ("countdown", 4)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "odd", "first"),
+    [("tunable", 1, [0.15, 0.55, 0.75]), *((kind, odd, [0.2, 0.6, 0.8]) for kind, odd in LATE)],
+)
+def test_an_interval_that_is_told_at_another_time(unit, kind, odd, first):
+    """A tunable one again at each instant, as changed; aperiodic ones in event mode only."""
+    pair = assemble({"unit": unit(f'intervalVariability="{kind}"'), "other": unit(name="other")})
+    given = {"unit.period": 0.2, "unit.delay": 0.15, "unit.odd": odd}
+    result = run(pair, step=0.05, stop=0.99, set=given)
+    np.testing.assert_allclose(ticks(result, "unit.tick"), first, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("more", ["", ' supportsFraction="true"'])
+@pytest.mark.parametrize(("kind", "odd"), [("fixed", 2), ("fixed", 3), ("tunable", 2), ("tunable", 3)])
+def test_a_period_that_is_not_known_is_refused(unit, kind, odd, more):
+    """Also if the FMU writes none, as a decimal number or a fraction."""
+    alone = unit(f'intervalVariability="{kind}"{more}')
+    told = problem(lambda: run(str(alone), step=0.1, stop=0.5, set={"unit.odd": odd}))
+    assert told == "unit.tick: expected an interval in initialisation mode, got not yet known"
 
 
 def test_clocks_of_a_third_and_a_seventh_meet_at_whole_seconds(unit):
@@ -301,10 +333,15 @@ def test_ticks_are_kept_when_the_process_dies(unit, tmp_path):
 
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the FMU switches on traps of SSE")
-def test_traps_that_an_fmu_switches_on_in_an_instant_end_nothing(unit):
-    """In each call of a clock and of event mode: the run goes on as without, with a warning."""
-    pair = assemble({"a": unit(), "b": unit(name="b")}, ["a.fired -> b.come", "a.y -> b.u"], {"a.u": 0.1})
-    calm, trapping = (run(pair, set={"a.traps": traps}, step=0.03, stop=1.0) for traps in (0, 1))
+@pytest.mark.parametrize("how", [1, 2])
+def test_traps_that_an_fmu_switches_on_in_an_instant_end_nothing(unit, how):
+    """In each call of a clock, of its variables and of event mode; and if getters of these round upwards.
+
+    The run goes on as without, with a warning.
+    """
+    wires = ["a.fired -> b.come", ("a.y", "b.u", 0.3, 0.1)]
+    pair = assemble({"a": unit(), "b": unit(name="b")}, wires, {"a.u": 0.1})
+    calm, trapping = (run(pair, set={"a.traps": traps}, step=0.03, stop=1.0) for traps in (0, how))
     assert all(np.array_equal(calm[name], trapping[name]) for name in calm)
     (warning,) = trapping.card.warnings
     assert warning.startswith("a at t = 0 s: the FMU changed the floating-point environment")

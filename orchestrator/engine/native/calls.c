@@ -180,9 +180,12 @@ int execute(Simulation *sim, const Program *program) {
     return CONTINUE;
 }
 
-/* For Python. */
+/* For Python: the environment is restored after each call, so that the FMU that has changed it is named. */
 int32_t program_run(Simulation *sim, const Program *program) {
+    const int careful = sim->careful;
+    sim->careful = 1;
     const int verdict = execute(sim, program);
+    sim->careful = careful;
     environment_restore(sim, NULL, ANY_COMPONENT);
     return verdict;
 }
@@ -288,6 +291,7 @@ int values_set(Simulation *sim) {
 
 void record(Simulation *sim) {
     Recorder *r = &sim->recorder;
+    r->latest = sim->t;
     double *reals = r->reals + (size_t)r->filled * (size_t)r->real_count;
     int64_t *integers = r->integers + (size_t)r->filled * (size_t)r->integer_count;
     r->time[r->filled] = sim->t;

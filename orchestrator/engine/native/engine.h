@@ -312,6 +312,7 @@ typedef struct Recorder { /* a block of rows; Python collects them between two c
     int64_t *integers;
     int32_t real_count, integer_count, filled, capacity;
     int64_t collected; /* communication points before the block */
+    double latest;     /* time of the latest row [s] */
 } Recorder;
 
 typedef struct StepSize { /* see step_size.c */

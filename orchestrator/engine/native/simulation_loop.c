@@ -280,6 +280,19 @@ static int go_through_events(Simulation *sim) {
 }
 #endif
 
+#if WIDTH == 1
+/* A row of this time is replaced; it stays if Python has taken it already. */
+static void record_end(Simulation *sim) {
+    Recorder *r = &sim->recorder;
+    const double latest = r->latest;
+    const int again = r->collected + r->filled > 0 && sim->t - latest <= sim->events.tolerance;
+    if (again && !r->filled) return;
+    r->filled -= again;
+    record(sim);
+    if (again) r->time[r->filled - 1] = latest;
+}
+#endif
+
 /* Tries the next step of each machine once. */
 static int next_step(Simulation *sim) {
     const double point = point_at(sim, sim->done + 1);
@@ -308,7 +321,7 @@ static int next_step(Simulation *sim) {
     verdict = any(jumps) ? jump(sim, jumps) : CONTINUE;
 #if WIDTH == 1
     if (!verdict && sim->events.present && event_due(sim)) verdict = go_through_events(sim);
-    if (sim->events.ends) record(sim); /* all FMUs are at the event in which the run ends */
+    if (sim->events.ends) record_end(sim); /* all FMUs are at the event in which the run ends */
 #endif
     if (verdict) return verdict;
     if (there || sim->free || sim->diverged) record(sim);

@@ -5,12 +5,16 @@
  *           an interval and a shift that are asked for are `period` and `delay`, as fractions in 21ths of a second
  *   fired   output clock, at every `every`-th tick, and whenever `come` ticks if `passes`: text = "n<count>", frame = n
  *   come    triggered input clock: got := got + 1, heard = length of the text `word` and last byte of the binary `data`
- *   traps   1: calls of event mode and of clocks switch on the traps of floating-point exceptions
+ *   traps   1: calls of event mode, of clocks and of their variables switch on the traps of floating-point exceptions
+ *           2: getters of numbers that belong to clocks round upwards from then on
+ *   odd     1: each interval is told as changed; 2: no interval and no shift is written; 3: no interval is known in
+ *           initialisation mode; 4: to ask there is an error
  *   note    text without a clock: noted = its length
  *
  * A variable that is set or read while its clock does not tick, and a clock that ticks or is asked for its interval in step
  * mode, is an error.
  */
+#include <fenv.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -18,9 +22,9 @@
 
 #include "fmi3Functions.h"
 
-enum { TICK = 1, FIRED, COME, COUNT = 10, GOT, HEARD, EVERY, PASSES, MOST, NOTED, TRAPS, U = 20, Y, PERIOD, DELAY, TEXT = 30, WORD, NOTE, FRAME = 40, DATA };
+enum { TICK = 1, FIRED, COME, COUNT = 10, GOT, HEARD, EVERY, PASSES, MOST, NOTED, TRAPS, ODD, U = 20, Y, PERIOD, DELAY, TEXT = 30, WORD, NOTE, FRAME = 40, DATA };
 typedef struct {
-    int mode, ticks, comes, count, got, heard, every, passes, most, told, traps; /* mode: 0 before steps, 1 step, 2 event */
+    int mode, ticks, comes, count, got, heard, every, passes, most, told, traps, odd; /* mode: 0 before steps, 1 step, 2 event */
     double u, s, period, delay;
     char text[20], word[200], note[200];
     fmi3Byte frame[2], data[200];
@@ -29,10 +33,14 @@ typedef struct {
 
 static void trap(const Unit *m) {
 #ifdef __x86_64__
-    if (m->traps) __builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() & ~0x1F80u);
+    if (m->traps == 1) __builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() & ~0x1F80u);
 #else
     (void)m;
 #endif
+}
+static void round_up(const Unit *m) {
+    trap(m);
+    if (m->traps == 2) fesetround(FE_UPWARD);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String n, fmi3String g, fmi3String l, fmi3Boolean v, fmi3Boolean d, fmi3Boolean used,
@@ -73,9 +81,11 @@ fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference r[], size_t n, 
 fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 t[], fmi3IntervalQualifier q[]) {
     Unit *m = c;
     (void)r, (void)n;
-    if (m->mode == 1) return fmi3Error;
+    if (m->mode == 1 || (m->odd == 4 && !m->mode)) return fmi3Error;
+    if (m->odd == 2) return fmi3OK;
     t[0] = m->period * (1 + m->count % 2);
-    q[0] = m->told || m->count >= m->most ? fmi3IntervalUnchanged : fmi3IntervalChanged;
+    q[0] = (m->told && m->odd != 1) || m->count >= m->most ? fmi3IntervalUnchanged : fmi3IntervalChanged;
+    if (m->odd == 3 && !m->mode) return q[0] = fmi3IntervalNotYetKnown, fmi3OK;
     return m->told = 1, fmi3OK;
 }
 fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3UInt64 counts[],
@@ -88,7 +98,9 @@ fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference r[],
 /* Before steps only */
 fmi3Status fmi3GetShiftDecimal(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 t[]) {
     const Unit *m = c;
-    return (void)r, (void)n, t[0] = m->delay, m->mode ? fmi3Error : fmi3OK;
+    (void)r, (void)n;
+    if (m->odd != 2) t[0] = m->delay;
+    return m->mode ? fmi3Error : fmi3OK;
 }
 fmi3Status fmi3GetShiftFraction(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3UInt64 counts[], fmi3UInt64 resolutions[]) {
     const Unit *m = c;
@@ -109,12 +121,13 @@ fmi3Status fmi3GetInt32(fmi3Instance c, const fmi3ValueReference r[], size_t n, 
         m->heard = (int)strlen(m->word) + (m->length ? m->data[m->length - 1] : 0);
         y[i] = r[i] == COUNT ? m->count : r[i] == GOT ? m->got : r[i] == HEARD ? m->heard : (int)strlen(m->note);
     }
+    if (m->ticks || m->comes) round_up(m);
     return fmi3OK;
 }
 fmi3Status fmi3SetInt32(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Int32 y[], size_t k) {
     Unit *m = c;
     (void)k;
-    for (size_t i = 0; i < n; i++) *(r[i] == EVERY ? &m->every : r[i] == PASSES ? &m->passes : r[i] == TRAPS ? &m->traps : &m->most) = y[i];
+    for (size_t i = 0; i < n; i++) *(r[i] == EVERY ? &m->every : r[i] == PASSES ? &m->passes : r[i] == TRAPS ? &m->traps : r[i] == ODD ? &m->odd : &m->most) = y[i];
     return fmi3OK;
 }
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 y[], size_t k) {
@@ -125,6 +138,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
             if (!m->ticks) return fmi3Error;
             y[i] = r[i] == U ? m->u : m->s + m->u;
         } else y[i] = r[i] == DELAY ? m->delay : m->period;
+    if (m->ticks) round_up(m);
     return fmi3OK;
 }
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Float64 y[], size_t k) {
