@@ -184,5 +184,6 @@ def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> TraceFigure:
     right = max(float(np.nanmax(line.time)) for line in lines)
     words = {row: effect.label.replace(" (", "\n(") for row, effect in zip(rows, effects, strict=True)}
     axis = name_with_unit(LABELS.get(measure, "fraction of the variance"), unit.display)
-    panel = TracePanel("", lines, heights=(0.6 * len(effects) + 0.8, 0.0), words=words)
+    row_height = 0.9 if any("\n" in word for word in words.values()) else 0.6
+    panel = TracePanel("", lines, heights=(row_height * len(effects) + 0.8, 0.0), words=words)
     return TraceFigure([panel], (0.0, right or 1.0), axis=axis)
