@@ -337,6 +337,9 @@ class _Fixed:
     unit: Text = ""
 
 
+_Start = Annotated[float | str | _Fixed, Rule(FIXED, lambda _: True)]
+
+
 @dataclass(frozen=True)
 class _Factor:
     """A table of `factors`; the distribution says which of the numbers it has."""
@@ -379,7 +382,7 @@ class _File:
     factors: Mapping[str, _Factor] = field(default_factory=dict)
     choices: Mapping[str, str | tuple[str, ...] | _Choice] = field(default_factory=dict)
     outputs: Mapping[str, _Output] = field(default_factory=dict)
-    fixed: Mapping[str, Annotated[float | str | _Fixed, Rule(FIXED, lambda v: True)]] = field(default_factory=dict)
+    fixed: Mapping[str, _Start] = field(default_factory=dict)
 
 
 def read(file: str | Path) -> Study:

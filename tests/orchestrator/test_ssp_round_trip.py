@@ -108,7 +108,7 @@ RESOURCES = {"view.toml": b"title = 'bench'", "notes/readme.txt": b"measured in 
 
 @pytest.mark.parametrize("unpacked", [False, True])
 def test_other_resources_are_written_again(gains, tmp_path, unpacked):
-    """Files that belong to no component are kept, files of replaced or unpacked FMUs and dictionaries are not."""
+    """Files that belong to no component are kept, files of replaced or unpacked FMUs are not."""
     files = RESOURCES | {"signals.ssb": b"<a/>"}  # of earlier versions: signals of components
     first = write_ssp(assemble({"p": gains[0], "q": gains[1]}), tmp_path / "first.ssp", resources=files)
     if unpacked:

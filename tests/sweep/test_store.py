@@ -98,7 +98,7 @@ def test_a_folder_that_is_not_understood_is_refused(done, text):
 
 @table(__file__, "refused", "name, old, new")
 def test_fresh_deletes_what_is_refused(done, name, old, new):
-    """Another study, and a folder that is not understood: all runs take place. A log of earlier versions goes."""
+    """Another study, and a folder that is not understood: all runs take place. An old log goes."""
     path = done.parent / name
     path.write_text(path.read_text("utf-8").replace(old, new, 1), encoding="utf-8")
     (log := done.parent / "out" / "log.csv").touch()
