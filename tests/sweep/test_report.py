@@ -1,5 +1,6 @@
 """The page of a study: it stands alone, shows what is there, and is the same for the same results."""
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,11 @@ from sweep.pages import CASES, TWO, UNIT, shown, written
 from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, results
 
 from orchestrator.base.text import display_unit
+from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, plot
 from orchestrator.pages.plotting import draw
 from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.report.study_figures import bands, histogram, medians, tornado
+from orchestrator.studies.report.study_page import _dots
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -153,3 +156,16 @@ def test_a_histogram_counts_every_run_once() -> None:
     spread = counted.spread
     quantiles = [spread.low, spread.median, spread.high]
     assert lines.time[::3] == pytest.approx(np.array(quantiles) / 1e5, rel=1e-12)  # rounding
+
+
+@pytest.mark.parametrize("runs", [2000, 2003])
+def test_at_most_two_thousand_dots_are_embedded(runs: int) -> None:
+    """Of all options together, in proportion; the caption counts them."""
+    x, groups = np.linspace(0.0, 1.0, runs), (slice(0, 501), slice(501, runs))
+    dots = [TraceLine(x[rows], x[rows], {"color": "#000000", "marker": "o"}) for rows in groups]
+    figure = TraceFigure([TracePanel("", dots)], axis="x")
+    spec = json.loads(re.search(r'json">(.*?)</script>', str(plot(figure, "Dots")), re.DOTALL)[1])
+    counts = [columns[0] for columns in spec["columns"][::2]]
+    assert sum(counts) == 2000
+    assert counts[0] == pytest.approx(501 * 2000 / runs, abs=1)  # a whole number
+    assert _dots(figure) == ("A dot for each run" if runs == 2000 else "Dots for 2000 of 2003 runs")
