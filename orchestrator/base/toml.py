@@ -65,9 +65,9 @@ class Table:
             raise Problem(f"{self.where}: {key}: expected {expected}, got nothing")
         return self.data[key]
 
-    def problem(self, key: str, expected: str) -> Problem:
-        """The Problem for a wrong value."""
-        return Problem(f"{self.where}: {key}: expected {expected}, got {_repr(self.data.get(key))}")
+    def problem(self, key: str, expected: str, hint: str = "") -> Problem:
+        """The Problem for a wrong value; hint: similar names."""
+        return Problem(f"{self.where}: {key}: expected {expected}, got {_repr(self.data.get(key))}{hint}")
 
     def table(self, key: str) -> Table:
         """The table `key`; an empty one if it is missing."""
@@ -127,18 +127,23 @@ def _hints(target: type[Any]) -> dict[str, Any]:
     return get_type_hints(target, include_extras=True)
 
 
-def _value(hint: Any, table: Table, key: str, where: str) -> Any:
-    """The value of a key, converted to a type hint; `where` is its name in messages if it is a table."""
+def _value(hint: Any, table: Table, key: str, where: str, expected: str = "") -> Any:
+    """The value of a key, converted to a type hint.
+
+    where      its name in messages if it is a table
+    expected   in messages, in place of the description of the type
+    """
     value, hint_arguments = table.data[key], get_args(hint)
     if get_origin(hint) is Annotated:
         plain_hint, rule = hint_arguments
-        converted = _value(plain_hint, table, key, where)
+        text = rule.expected if len(_choices(plain_hint)) > 1 else ""  # the rule names all types of a union
+        converted = _value(plain_hint, table, key, where, text)
         if not rule.holds(converted):
             raise table.problem(key, rule.expected)
         return converted
     choices = _choices(hint)
     if choices != (hint,) and len(choices) == 1:
-        return _value(choices[0], table, key, where)
+        return _value(choices[0], table, key, where, expected)
     for choice in choices:
         if isinstance(value, dict) and is_dataclass(choice):
             return read_dataclass(choice, Table(where, value))  # type: ignore[arg-type]
@@ -152,7 +157,8 @@ def _value(hint: Any, table: Table, key: str, where: str) -> Any:
             return tuple(_value(get_args(choice)[0], inner, n, f"{where} {n}") for n in inner.data)
         if _fits(choice, value):
             return float(value) if choice is float else tuple(value) if isinstance(value, list) else value
-    raise table.problem(key, _expected(hint))
+    similar = suggest(value, get_args(hint)) if get_origin(hint) is Literal and isinstance(value, str) else ""
+    raise table.problem(key, expected or _expected(hint), similar)
 
 
 def _choices(hint: Any) -> tuple[Any, ...]:

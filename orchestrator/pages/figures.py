@@ -269,7 +269,7 @@ def power_of_ten(low: float, high: float) -> int:
 
 
 MARGIN = 0.02  # of an axis, beyond the outermost marks
-MARKS = 3000  # of a cloud; a larger one is thinned evenly
+MARKS = 2000  # of a cloud, all its groups together; a larger one is thinned evenly
 SAMPLES = 2500  # of a curve; a longer one keeps the extremes of its buckets
 DIGITS = 20  # bits of a value: one part in a million of the curve's range
 
@@ -367,10 +367,12 @@ def _cloud(chart: _Chart, columns: list[Array]) -> dict[str, Any]:
     """
     log = chart.panel.log and not chart.strip
     lines, ends = list[dict[str, Any]](), list[Array]()
-    for line in chart.lines:
-        kept = np.arange(len(line.time))
-        if len(kept) > MARKS:
-            kept = np.linspace(0, len(kept) - 1, MARKS).astype(int)
+    counts = np.cumsum([0] + [len(line.time) if "marker" in line.style else 0 for line in chart.lines])
+    shares = np.diff(counts * MARKS // max(int(counts[-1]), 1))
+    for line, share in zip(chart.lines, shares, strict=True):
+        count = len(line.time)
+        most = min(count, int(share) if "marker" in line.style else MARKS)
+        kept = np.linspace(0, count - 1, most).astype(int)
         shown = [line.values]
         if line.error is not None:
             down, up = np.broadcast_to(line.error, (2, len(line.values)))

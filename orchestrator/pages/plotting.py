@@ -21,6 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from orchestrator.base.text import MINUS, typeset
 from orchestrator.base.units import pretty, reader_unit, superscript
@@ -114,6 +115,9 @@ def draw(shown: TraceFigure) -> Figure:
     if shown.ticks:
         low, high = shown.span
         inside = {place: label for place, label in shown.ticks.items() if low <= place <= high}
+        if len(inside) < 2:  # a short axis
+            round_values = MaxNLocator(5).tick_values(10**low, 10**high)
+            inside = {np.log10(v): f"{v:g}" for v in round_values if 10**low <= v <= 10**high}
         axes[-1].set_xticks([*inside], [*inside.values()])
     else:
         power_ticks(axes[-1].xaxis)

@@ -25,6 +25,7 @@ Values = Mapping[str, tuple[FmuVariable, Value]]  # name of a parameter -> the v
 DESCRIPTION = "modelDescription.xml"
 # files of components: FMUs are written anew, nested systems are flattened
 NOT_COPIED = (".fmu", ".ssp", ".ssd")
+SIGNALS = "signals.ssb"  # a dictionary of the components' signals, which earlier versions wrote
 WIDTH, GAP, PITCH = 70.0, 50.0, 5.0  # [mm] of a drawn component, between two, between connectors
 Point = tuple[float, float]
 Places = Mapping[Port, tuple[Port, str]]  # element of an array -> connector of the array, indices in it
@@ -95,7 +96,7 @@ def _other_resources(system: System) -> dict[str, bytes]:
     return {
         name: file.read()
         for name, file in system.resources.items()
-        if not name.endswith(NOT_COPIED) and not name.startswith(tuple(unpacked))
+        if name != SIGNALS and not name.endswith(NOT_COPIED) and not name.startswith(tuple(unpacked))
     }
 
 

@@ -95,7 +95,7 @@ def clear(folder: Path) -> None:
     """
     if not (folder / "study.json").exists():
         return
-    files = [folder / name for name in NAMES]
+    files = [folder / name for name in (*NAMES, "log.csv")]  # the log is of earlier versions
     # study.json is removed last, as it identifies the other files if this process is killed
     for file in [*(folder / "parts").glob("*"), *files, folder / "study.json"]:
         file.unlink(missing_ok=True)

@@ -40,6 +40,7 @@ MOST_RUNS = 1_000_000  # the table of all runs then takes some gigabytes
 # [s] for one run: far more than runs of a study take. Without a limit, an FMU that hangs holds up its core.
 # A multiple of the duration of other runs would depend on the load of the machine.
 TIME_LIMIT = 3600.0
+Distribution = Literal["uniform", "normal", "lognormal", "triangular", "values"]
 # Distribution -> names of its parameters.
 DISTRIBUTIONS: Mapping[str, tuple[str, ...]] = {
     "uniform": ("minimum", "maximum"),
@@ -112,7 +113,7 @@ def _impossible(distribution: str, n: Mapping[str, Any]) -> tuple[str, str] | No
     if "sd" in n and not n["sd"] > 0:
         return "sd", "a positive number"
     if distribution == "values" and len(set(n["values"])) < max(len(n["values"]), 1):
-        return "values", "different numbers"
+        return "values", "different numbers" if n["values"] else "at least one number"
     return None
 
 
@@ -327,6 +328,7 @@ OPTIONS = tuple(sorted({"cut", *declarations(CouplingArguments)} - {"master", "f
 OF_STUDY = (*RUN, "band_step", *OPTIONS)  # keys whose values `Study` checks itself
 
 Text = Annotated[str, Rule("a text", bool)]
+FIXED = 'a number, a text such as "180bar", or a table of value and unit'
 
 
 @dataclass(frozen=True)
@@ -335,11 +337,14 @@ class _Fixed:
     unit: Text = ""
 
 
+_Start = Annotated[float | str | _Fixed, Rule(FIXED, lambda _: True)]
+
+
 @dataclass(frozen=True)
 class _Factor:
     """A table of `factors`; the distribution says which of the numbers it has."""
 
-    distribution: str
+    distribution: Distribution
     relative: bool = False
     unit: Text = ""
     minimum: float | None = None
@@ -377,7 +382,7 @@ class _File:
     factors: Mapping[str, _Factor] = field(default_factory=dict)
     choices: Mapping[str, str | tuple[str, ...] | _Choice] = field(default_factory=dict)
     outputs: Mapping[str, _Output] = field(default_factory=dict)
-    fixed: Mapping[str, float | str | _Fixed] = field(default_factory=dict)
+    fixed: Mapping[str, _Start] = field(default_factory=dict)
 
 
 def read(file: str | Path) -> Study:
@@ -409,9 +414,10 @@ def read(file: str | Path) -> Study:
 
 
 def _factor(name: str, found: _Factor) -> Factor:
-    given = vars(found).items()
-    own = ("distribution", "relative", "unit")
-    numbers = {key: value for key, value in given if key not in own and value is not None}
+    given = {key: value for key, value in vars(found).items() if value is not None}
+    own, known = ("distribution", "relative", "unit"), DISTRIBUTIONS[found.distribution]
+    Table(f"factors.{quote_key(name)}", given).allow_only((*own, *known))
+    numbers = {key: value for key, value in given.items() if key not in own}
     factor = Factor(name, found.distribution, numbers, found.relative, found.unit)
     if factor.relative and factor.unit:
         expected = "expected none, as the numbers are relative"
@@ -439,6 +445,5 @@ def _start(name: str, value: float | str | _Fixed) -> float | tuple[float, str]:
         return value
     number, unit = number_and_unit(value)
     if not unit:
-        expected = 'expected a number, a text such as "180bar", or a table of value and unit'
-        raise Problem(f"fixed: {name}: {expected}, got {value!r}")
+        raise Problem(f"fixed: {name}: expected {FIXED}, got {value!r}")
     return float(number), unit

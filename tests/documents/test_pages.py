@@ -21,7 +21,8 @@ from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
 from orchestrator.data.trace import Trace
 from orchestrator.pages import figures
-from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, pack, plot
+from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, bars, pack, plot, plot_scripts
+from orchestrator.pages.plotting import draw
 from orchestrator.results.comparison import compare
 from orchestrator.results.comparison_report import report as comparison
 from orchestrator.results.diagnosis import Diagnosis, Finding
@@ -340,6 +341,50 @@ def test_without_scripts_a_figure_is_a_table(files: Callable[[str], str], chromi
     page.get_by_text("Extremes of").first.click()
     assert page.locator(".plot table").first.is_visible()
     context.close()
+
+
+def shown_alone(figure: TraceFigure, folder: Path, opened: Callable[..., Any]) -> Any:
+    """A page of a phone's width with one figure, drawn."""
+    file = folder / "one.html"
+    file.write_text(f"<!doctype html><meta charset=utf-8>{plot(figure, 'One')}{plot_scripts()}", "utf-8")
+    page = opened(file.as_uri(), width=360)
+    drawn(page)
+    return page
+
+
+@pytest.mark.parametrize(
+    ("steps", "labels", "reach"),
+    [
+        ([3.0], ["2.8", "3", "3.2"], "2.688 to 3.348"),  # log10(3) and a tenth of it on both sides
+        ([3.0, 4.0], ["3", "3.5", "4"], "2.983 to 4.023"),  # log10 of 3 and 4, and 2 % of the length
+        ([1.0, 10.0], ["1", "2", "5", "10"], "0.955 to 10.47"),
+    ],
+)
+def test_a_short_logarithmic_axis_has_labels(steps, labels, reach, tmp_path, opened) -> None:
+    """Round values if fewer than two of 1, 2, 5 are inside; the range of values; a cross in the key."""
+    style = {"color": "#000000", "marker": "x"}
+    line = TraceLine(np.log10(steps), np.ones(len(steps)), style, key="unstable")
+    ticks = {k + float(np.log10(m)): f"{m * 10.0**k:g}" for k in (-1, 0, 1) for m in (1, 2, 5)}
+    figure = TraceFigure([TracePanel("", [line])], axis="step [ms]", ticks=ticks, key=[("unstable", style)])
+    page = shown_alone(figure, tmp_path, opened)
+    assert page.evaluate(CHARTS % "axes[0]._values")[0] == labels
+    assert page.locator(".clock").text_content() == reach
+    assert page.locator(".curve path").get_attribute("d") == "M10 1L16 7M10 7L16 1"
+    assert {text.get_text() for text in draw(figure).axes[0].get_xticklabels()} & set(labels)
+
+
+@pytest.mark.parametrize("word", ["short", "boom_stick.coulomb_friction_of_the_piston\n(times its value)"])
+def test_words_leave_room_for_their_bars(word: str, tmp_path: Path, opened: Callable[..., Any]) -> None:
+    """At most 45 % of the width; each line of a longer label is cut there and whole in the tooltip."""
+    panel = TracePanel("", [bars([(0.0, 0.0, 1.0)], 0.4, "#000000")], words={0.0: word})
+    page = shown_alone(TraceFigure([panel], (0.0, 1.0), axis="share"), tmp_path, opened)
+    width = page.locator(".live").evaluate("e => e.clientWidth")
+    assert page.evaluate(CHARTS % "axes[1]._size")[0] <= np.ceil(0.45 * width)  # whole pixels
+    (label,) = page.evaluate(CHARTS % "axes[1]._values")[0]
+    assert (label == word) == (word == "short")
+    lines = zip(label.split("\n"), word.split("\n"), strict=True)
+    assert all(whole.startswith(line.removesuffix("…")) for line, whole in lines)
+    assert page.locator(".u-axis").nth(1).get_attribute("title") == word.replace("\n", " ")
 
 
 def test_samples_survive_packing(files: Callable[[str], str], opened: Callable[..., Any]) -> None:

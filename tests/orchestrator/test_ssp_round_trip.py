@@ -109,7 +109,8 @@ RESOURCES = {"view.toml": b"title = 'bench'", "notes/readme.txt": b"measured in 
 @pytest.mark.parametrize("unpacked", [False, True])
 def test_other_resources_are_written_again(gains, tmp_path, unpacked):
     """Files that belong to no component are kept, files of replaced or unpacked FMUs are not."""
-    first = write_ssp(assemble({"p": gains[0], "q": gains[1]}), tmp_path / "first.ssp", resources=RESOURCES)
+    files = RESOURCES | {"signals.ssb": b"<a/>"}  # of earlier versions: signals of components
+    first = write_ssp(assemble({"p": gains[0], "q": gains[1]}), tmp_path / "first.ssp", resources=files)
     if unpacked:
         Location(first).extract(tmp_path / "first")
         first = tmp_path / "first"

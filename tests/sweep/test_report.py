@@ -1,5 +1,6 @@
 """The page of a study: it stands alone, shows what is there, and is the same for the same results."""
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,11 @@ from sweep.pages import CASES, TWO, UNIT, shown, written
 from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, results
 
 from orchestrator.base.text import display_unit
+from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, plot
 from orchestrator.pages.plotting import draw
 from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.report.study_figures import bands, histogram, medians, tornado
+from orchestrator.studies.report.study_page import _dots
 from orchestrator.studies.study import Choice
 
 
@@ -134,6 +137,9 @@ def test_shares_end_within_the_axis(runs, choices):
     for line in figure.panels[0].lines:
         assert 0.0 <= np.nanmin(line.time) <= np.nanmax(line.time) <= 100.0
     assert figure.window == (0.0, 100.0)
+    whole = ("total", "total, choice", "first order") if runs == 16 else ("factor", "choice")
+    expected = {"95 %", *(name for name in whole if choices or "choice" not in name)}
+    assert {line.name for line in figure.panels[0].lines} == expected
     assert figure.panels[0].words[0.0] == "x1"  # on top, which is the largest row
 
 
@@ -158,3 +164,16 @@ def test_options_without_a_colour_are_named(count: int, told: str) -> None:
     """Bands have four colours; the line below names the other options."""
     page = written(results(ishigami, ISHIGAMI, "latin", 28, [Choice("pose", tuple("abcdefg"[:count]))])).page
     assert re.findall("not drawn: (.*?); ", page) == [told] * bool(told)
+
+
+@pytest.mark.parametrize("runs", [2000, 2003])
+def test_at_most_two_thousand_dots_are_embedded(runs: int) -> None:
+    """Of all options together, in proportion; the caption counts them."""
+    x, groups = np.linspace(0.0, 1.0, runs), (slice(0, 501), slice(501, runs))
+    dots = [TraceLine(x[rows], x[rows], {"color": "#000000", "marker": "o"}) for rows in groups]
+    figure = TraceFigure([TracePanel("", dots)], axis="x")
+    spec = json.loads(re.search(r'json">(.*?)</script>', str(plot(figure, "Dots")), re.DOTALL)[1])
+    counts = [columns[0] for columns in spec["columns"][::2]]
+    assert sum(counts) == 2000
+    assert counts[0] == pytest.approx(501 * 2000 / runs, abs=1)  # a whole number
+    assert _dots(figure) == ("A dot for each run" if runs == 2000 else "Dots for 2000 of 2003 runs")

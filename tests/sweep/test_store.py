@@ -98,10 +98,12 @@ def test_a_folder_that_is_not_understood_is_refused(done, text):
 
 @table(__file__, "refused", "name, old, new")
 def test_fresh_deletes_what_is_refused(done, name, old, new):
-    """Another study, and a folder that is not understood: all runs take place."""
+    """Another study, and a folder that is not understood: all runs take place. An old log goes."""
     path = done.parent / name
     path.write_text(path.read_text("utf-8").replace(old, new, 1), encoding="utf-8")
+    (log := done.parent / "out" / "log.csv").touch()
     assert run(done, fresh=True)[1] == ALL
+    assert not log.exists()
 
 
 def test_two_processes_do_not_share_a_folder(done):

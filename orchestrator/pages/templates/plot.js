@@ -6,8 +6,10 @@
   const DIGITS = 20; // bits of a value, as in figures.py
   const NONE = 2 ** DIGITS - 1; // the place of a missing value
   const MARGIN = 0.08; // of the range of the values, above and below
-  const LAST = 34; // px below the plot for ticks and the name of the axis
-  const AXIS = 62; // px beside the plot for the labels of its ticks
+  const LAST = 18; // px below the plot for ticks
+  const AXIS = 62; // px beside the plot for the labels of its ticks; words take more, up to a share of the width
+  const SHARE = 0.45;
+  const [LETTER, GAP] = [6.2, 16]; // px of a letter of a label, and beside it
   const SUPERSCRIPT = "⁰¹²³⁴⁵⁶⁷⁸⁹";
   const FONT = '11px system-ui, "Segoe UI", sans-serif';
   // outlines of marks in units of their size
@@ -71,15 +73,20 @@
     return values.map((value) => (plain ? String(exact(value)).replace("-", "−") : typeset(exact(value), 4)));
   }
 
-  // ticks with words
-  const worded = (words) => ({ splits: () => [...words.keys()].sort((a, b) => a - b), values: (_, at) => at.map((value) => words.get(value)) });
+  // ticks with words, whose lines have at most `letters()` letters
+  function worded(words, letters) {
+    const cut = (line) => (line.length > letters() ? `${line.slice(0, letters() - 1)}…` : line);
+    const shown = (value) => words.get(value).split("\n").map(cut).join("\n");
+    return { splits: () => [...words.keys()].sort((a, b) => a - b), values: (_, at) => at.map(shown) };
+  }
 
   // a sample of the line, so that it is known by more than its colour
   function swatch(button, line) {
     const svg = '<svg viewBox="0 0 26 8" width="26" height="8" aria-hidden="true"><path d="M0 4h26" fill="none"/></svg>';
     button.insertAdjacentHTML("afterbegin", svg);
     const path = button.querySelector("path");
-    if (line.mark) path.setAttribute("d", "M10 4a3 3 0 1 0 6 0a3 3 0 1 0-6 0");
+    const mark = (outline) => `M${outline.map(([x, y]) => `${13 + 3 * x} ${4 + 3 * y}`).join("L")}`;
+    if (line.mark) path.setAttribute("d", SHAPES[line.mark].map(mark).join(""));
     path.style.stroke = line.colour.startsWith("#") ? line.colour : `var(--fig-${line.colour})`;
     path.setAttribute("stroke-width", line.mark ? 1.5 : Math.min(line.area || line.fill ? 8 : line.width, 6));
     if (line.dash && !line.mark) path.setAttribute("stroke-dasharray", line.dash.join(" "));
@@ -91,11 +98,12 @@
       this.range = [...this.whole];
       this.name = host.getAttribute("aria-label");
       const words = spec.charts.flatMap((chart) => (chart.words ?? []).flatMap(([, word]) => word.split("\n")));
-      this.beside = Math.max(AXIS, ...words.map((word) => 16 + 6.2 * word.length)); // px for the longest line
+      this.longest = Math.max(AXIS, ...words.map((word) => GAP + LETTER * word.length)); // px
       this.live = element("div", host, { class: "live" });
       host.insertBefore(this.live, host.firstChild);
       this.toolbar(this.name);
       spec.charts.forEach((chart, k) => this.chart(chart, columns, k === spec.charts.length - 1));
+      element("p", this.live, { class: "axis" }, spec.axis || "time [s]");
       if (spec.below) element("p", this.live, { class: "soft below" }, spec.below);
       host.classList.add("drawn");
       new ResizeObserver(() => this.fit()).observe(this.live);
@@ -143,6 +151,11 @@
       return !this.off.has(line.key) && !this.off.has(`${line.panel} ${line.name}`);
     }
 
+    // px beside all charts, for the longest line as far as there is room
+    get beside() {
+      return Math.max(AXIS, Math.min(this.longest, SHARE * (this.live.clientWidth || 600)));
+    }
+
     get length() {
       return this.range[1] - this.range[0];
     }
@@ -163,6 +176,8 @@
       this.charts.push(entry);
       const data = this.spec.axis ? [this.whole, [null, null]] : [columns[chart.time], ...lines.map((line) => columns[line.column])];
       entry.plot = new uPlot(this.options(entry), data, place);
+      const whole = (chart.words ?? []).map(([, word]) => word.replace("\n", " ")).join("\n");
+      if (whole) place.querySelectorAll(".u-axis")[1].title = whole;
     }
 
     options(entry) {
@@ -190,8 +205,8 @@
         series: [{}, ...(this.spec.axis ? [{}] : lines.map(line))],
         bands: areas.map((k) => ({ series: [k + 2, k + 1], fill: () => `color-mix(in srgb, ${colour(lines[k].colour)} 40%, transparent)` })),
         axes: [
-          { ...axis, size: last ? LAST : 0, ...this.places(last), label: last ? this.spec.axis || "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
-          { ...axis, size: this.beside, ...(chart.words ? worded(new Map(chart.words)) : { splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => (chart.log ? at.map((power) => typeset(10 ** power, 2)) : tick(at)) }) },
+          { ...axis, size: last ? LAST : 0, ...this.places(last) },
+          { ...axis, size: () => this.beside, ...(chart.words ? worded(new Map(chart.words), () => Math.floor((this.beside - GAP) / LETTER)) : { splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => (chart.log ? at.map((power) => typeset(10 ** power, 2)) : tick(at)) }) },
         ],
         hooks: {
           drawAxes: [(plot) => this.bounds(plot, chart)],
@@ -202,13 +217,24 @@
       };
     }
 
-    // ticks of the common axis, whose labels are below the last chart
+    // ticks of the common axis, whose labels are below the last chart; a short logarithmic one has round values
     places(last) {
-      const ticks = this.spec.ticks && new Map(this.spec.ticks);
+      const ticks = new Map(this.spec.ticks ?? []);
+      const values = (at) => (at.every((one) => ticks.has(one)) ? at.map((one) => ticks.get(one)) : tick(at.map((one) => this.value(one))));
       return {
-        splits: (plot, _, low, high) => (ticks ? [...ticks.keys()].filter((at) => at >= low && at <= high) : splits(low, high, Math.max(2, Math.floor(plot.width / 90)))),
-        values: (_, at) => (last ? (ticks ? at.map((one) => ticks.get(one)) : tick(at)) : at.map(() => "")),
+        splits: (plot, _, low, high) => {
+          const inside = [...ticks.keys()].filter((at) => at >= low && at <= high);
+          if (inside.length > 1) return inside;
+          const round = splits(this.value(low), this.value(high), Math.max(2, Math.floor(plot.width / 90)));
+          return ticks.size ? round.map(Math.log10) : round;
+        },
+        values: (_, at) => (last ? values(at) : at.map(() => "")),
       };
+    }
+
+    // the value at a place on the common axis
+    value(place) {
+      return this.spec.ticks ? 10 ** place : place;
     }
 
     limits(chart, low, high) {
@@ -290,7 +316,9 @@
 
     read(time) {
       const [low, high] = this.range;
-      this.clock.textContent = this.spec.ticks ? "" : time === null ? `${typeset(low, 4)} to ${typeset(high, 4)}${this.spec.axis ? "" : " s"}` : `t = ${time.toFixed(3)} s`;
+      const text = (place) => typeset(this.value(place), 4);
+      const at = time !== null && (this.spec.axis ? text(time) : `t = ${time.toFixed(3)} s`);
+      this.clock.textContent = at || `${text(low)} to ${text(high)}${this.spec.axis ? "" : " s"}`;
       if (time !== null) this.slider.value = (1000 * (time - low)) / this.length;
       this.slider.setAttribute("aria-valuetext", this.clock.textContent);
       for (const { plot, lines, values } of this.spec.axis ? [] : this.charts) {

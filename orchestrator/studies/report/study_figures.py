@@ -167,7 +167,8 @@ def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> TraceFigure:
     rows = [-float(k) for k in range(len(effects))]
     ends = [drawn([effect.estimates[measure].value])[0] for effect in effects]
     lines = []
-    for kind, name, colour in (("factor", "factor", LIGHT[0]), ("choice", "choice", LIGHT[1])):
+    names = ("total", "total, choice") if measure == TOTAL else ("factor", "choice")
+    for kind, name, colour in zip(("factor", "choice"), names, LIGHT, strict=False):
         of_kind = [(row, 0.0, end) for row, end, e in zip(rows, ends, effects, strict=True) if e.kind == kind]
         lines += [bars(of_kind, 0.36, colour, name)] if of_kind else []
     if measure == TOTAL:
@@ -184,7 +185,8 @@ def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> TraceFigure:
         y, sigma = np.array(spread).T
         lines.append(TraceLine(unit.factor * sigma, y, style, "\N{GREEK SMALL LETTER SIGMA} of the effects"))
     right = max(float(np.nanmax(line.time)) for line in lines)
-    names = {row: effect.label.replace(" (", "\n(") for row, effect in zip(rows, effects, strict=True)}
+    words = {row: effect.label.replace(" (", "\n(") for row, effect in zip(rows, effects, strict=True)}
     axis = name_with_unit(LABELS.get(measure, "fraction of the variance"), unit.display)
-    panel = TracePanel("", lines, heights=(0.6 * len(effects) + 0.8, 0.0), words=names)
+    row_height = 0.9 if any("\n" in word for word in words.values()) else 0.6
+    panel = TracePanel("", lines, heights=(row_height * len(effects) + 0.8, 0.0), words=words)
     return TraceFigure([panel], (0.0, right or 1.0), axis=axis)

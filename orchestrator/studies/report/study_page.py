@@ -15,6 +15,7 @@ from markupsafe import Markup
 
 from orchestrator.base.files import write_whole
 from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
+from orchestrator.pages.figures import MARKS, TraceFigure
 from orchestrator.pages.html_page import json_values
 from orchestrator.results.report import TERMINAL, Columns, Facts, Figure, Part, Report, Section, Table, Text
 from orchestrator.studies.analysis.analyse import analyse
@@ -230,10 +231,16 @@ def _figures(results: Results, output: Output, analysed: OutputAnalysis) -> list
     if sensitivity is not None:
         line = "; the line is the median" if shows_medians(results) else ""
         figures += [
-            Figure(drawn, f"{name} over {factor}", f"A dot for each run{line}.", f"Over {factor}")
+            Figure(drawn, f"{name} over {factor}", f"{_dots(drawn)}{line}.", f"Over {factor}")
             for factor, drawn in scatter(results, output, analysed, sensitivity).items()
         ]
     return figures
+
+
+def _dots(drawn: TraceFigure) -> str:
+    """Which runs have a dot."""
+    runs = sum(len(line.time) for line in drawn.panels[0].lines if "marker" in line.style)
+    return f"Dots for {MARKS} of {runs} runs" if runs > MARKS else "A dot for each run"
 
 
 def _bands(results: Results) -> Iterator[tuple[str, list[Figure]]]:
