@@ -15,9 +15,10 @@ from run import M1, REFERENCE
 
 from orchestrator import load, read_trace, run
 from orchestrator.base.text import TextTable
+from orchestrator.base.units import factor_and_offset
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.studies.convergence.convergence_report import report, table, two_digits, write
+from orchestrator.studies.convergence.convergence_report import report, table, write
 from orchestrator.studies.convergence.convergence_study import (
     SETTINGS,
     ConvergenceStudy,
@@ -67,7 +68,9 @@ def length_table(study: ConvergenceStudy) -> TextTable:
 
     def cell(run: SettingRun) -> str:
         assert run.errors  # of a stable run
-        return two_digits(f"{1e3 * run.errors['arm.s1'].metrics.maximum_error:.2g}")
+        row = run.errors["arm.s1"]
+        factor, _ = factor_and_offset(row.unit, "mm", row.signal)
+        return f"{factor * row.metrics.maximum_error:.2g}".replace("e-0", "e-")
 
     title = f"position: largest difference [mm] from {study.reference.heading}"
     return table(study, title, cell)

@@ -14,7 +14,7 @@ from html import escape
 from math import isfinite
 from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any, Self, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypedDict, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,6 +77,17 @@ class Units(dict[str, str]):
 
     def __missing__(self, name: str) -> str:
         return self.get(found(self._signals, name), "")
+
+
+class FigureArguments(TypedDict, total=False):
+    """Options of `Trace.figure`."""
+
+    title: str
+    start: Seconds
+    stop: Seconds
+    others: Mapping[str, Any] | None
+    label: str
+    band: Trace | None
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -177,7 +188,7 @@ class Trace(Mapping[str, Array]):
         times = np.atleast_1d(np.asarray(time, dtype=np.float64))
         return self._with({n: np.interp(times, self.time, v) for n, v in self.signals.items()}, times)
 
-    def plot(self, *patterns: str | Sequence[str], **options: Any) -> Figure:
+    def plot(self, *patterns: str | Sequence[str], **options: Unpack[FigureArguments]) -> Figure:
         """Draw signals over time as a matplotlib figure, one panel per unit, without showing or saving it.
 
         The arguments are those of `figure`.

@@ -95,7 +95,6 @@ class TraceSink:
         """Receive the signals; `rows`: the expected number of points or rows."""
         del rows
         self.layout, self.rows, self.last = layout, 0, float("nan")
-        self._peaks, self._peak_times = np.zeros((2, len(layout.names)))
 
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int64]) -> None:
         """Receive points of a run: times [s], shape (n,), Real and Integer values, shape (n, ...)."""
@@ -122,20 +121,17 @@ class TraceSink:
 
     def append(self, times: Array, values: Array) -> None:
         """Receive rows: times [s], shape (n,), and values, shape (n, signals)."""
-        if not len(times):
-            return
-        self.rows, self.last = self.rows + len(times), float(times[-1])
-        row = np.argmax(np.abs(values), axis=0)
-        largest = values[row, np.arange(values.shape[1])]
-        higher = np.abs(largest) > np.abs(self._peaks)
-        self._peaks[higher], self._peak_times[higher] = largest[higher], times[row[higher]]
+        if len(values):
+            self.rows, self.last = self.rows + len(times), float(times[-1])
 
     def largest(self, name: str) -> tuple[float, float] | None:
         """The value of largest magnitude and its time [s]; None if the signal is not recorded."""
         if not self.rows or name not in self.layout.names:
             return None
-        signal = self.layout.names.index(name)
-        return float(self._peaks[signal]), float(self._peak_times[signal])
+        return self._largest(self.layout.names.index(name))
+
+    def _largest(self, signal: int) -> tuple[float, float]:
+        raise NotImplementedError
 
 
 class TraceInMemory(TraceSink):
@@ -166,6 +162,11 @@ class TraceInMemory(TraceSink):
         finite = np.isfinite(values).all(axis=1)
         if finite.any():
             self._errors.append((times[finite], values[finite]))
+
+    def _largest(self, signal: int) -> tuple[float, float]:
+        values = self._values[signal, : self.rows]
+        row = np.argmax(np.abs(values))
+        return float(values[row]), float(self._times[row])
 
     def _allocate(self, rows: int) -> None:
         check_room(rows, len(self._values))
@@ -249,6 +250,7 @@ class TraceFile(TraceSink):
         check_room(rows, len(layout.names), folder, self.number_size)
         self.accept(layout)
         super().begin(layout, rows)
+        self._peaks, self._peak_times = np.zeros((2, len(layout.names)))
         self._kept.begin(layout)
         with naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -274,10 +276,18 @@ class TraceFile(TraceSink):
         with naming(self.partial, f"; it has the rows up to t = {end:.6g} s" if end == end else ""):
             self._rows.append(times, values)
         super().append(times, values)
+        if len(times):
+            row = np.argmax(np.abs(values), axis=0)
+            largest = values[row, np.arange(values.shape[1])]
+            higher = np.abs(largest) > np.abs(self._peaks)
+            self._peaks[higher], self._peak_times[higher] = largest[higher], times[row[higher]]
         if values.shape[1] * 8 * self.rows > MAX_KEPT:
             self._kept.begin(self._kept.layout)  # releases the memory
         elif self._kept.rows + len(times) == self.rows:
             self._kept.append(times, values)
+
+    def _largest(self, signal: int) -> tuple[float, float]:
+        return float(self._peaks[signal]), float(self._peak_times[signal])
 
     @property
     def trace(self) -> Trace:

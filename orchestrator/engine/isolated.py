@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import json
 import mmap
 import os
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 POLL = 0.05  # [s] between two checks for interrupts and limits
 STOP_TIME = 1.0  # [s] that a run has to end by itself after an interrupt
 PROGRESS_TIME = 0.1  # [s] between two messages about the progress
+MOST_OF_EVENTS = 100_000_000  # bytes that are read after a crash
 MAX_MESSAGES = 1000  # of FMUs that are kept for a message after a crash
 STOP = "stop"  # message to the child
 TARGET = "orchestrator.engine.isolated:main"
@@ -83,12 +85,11 @@ def processes() -> Pool:
 def _contents() -> Mapping[str, Any]:
     """What the child may send."""
     from orchestrator.data.trace_writer import Array, Points, RowLayout
-    from orchestrator.engine.result import Event, RunEnd
+    from orchestrator.engine.result import RunEnd
     from orchestrator.fmi.messages import LogMessage
 
     errors = tuple[tuple[str, ...], Array, Array]
-    types: dict[str, Any] = {"events": tuple[Event, ...]}
-    types |= {
+    types: dict[str, Any] = {
         "begin": RowLayout,
         "points": Points,
         "errors": errors,
@@ -140,7 +141,6 @@ class _Supervision:
         self._outcome: RunEnd | None = None
         self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
         self._number = next(_numbers)
-        self._events: list[Event] = []
         task = RunTask(job, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, many)
         worker.put(task)
         self._kill_at, self._began = float("inf"), time.perf_counter()
@@ -193,8 +193,6 @@ class _Supervision:
             self._sink.append_points(*content)
         elif name == "errors" and self._are_errors(*content):
             self._sink.append_errors(*content)
-        elif name == "events":
-            self._events += content
         elif name == "time":
             self._t = content
         elif name == "begin" and self._layout is None and content.consistent:
@@ -257,7 +255,7 @@ class _Supervision:
         if self._outcome is None:
             self._rescue(outcome, self._layout)
             by_component = grouped(self._messages, lambda message: message.component)
-            outcome.events = tuple(self._events)
+            outcome.events = tuple(self._kept_events())
             outcome.logs = tuple(Log(name, messages=texts) for name, texts in by_component.items())
         outcome.interrupted, outcome.died, outcome.problem = interrupted, True, problem
         return outcome
@@ -286,6 +284,16 @@ class _Supervision:
         size = ctypes.sizeof(structure := engine_h().Simulation)
         content = read_file(self._worker.folder / f"simulation-{self._number}", size)
         return structure.from_buffer_copy(content if len(content) == size else bytes(size))
+
+    def _kept_events(self) -> Iterator[Event]:
+        """The events that the child has stored, until a line that an FMU or its end has damaged."""
+        from orchestrator.engine.result import Event
+
+        stored = read_file(self._worker.folder / f"events-{self._number}", MOST_OF_EVENTS)
+        with suppress(ValueError, TypeError):
+            for line in stored.splitlines():
+                time, causes = json.loads(line)
+                yield Event(float(time), tuple(map(str, causes)))
 
     def _rescue(self, outcome: RunEnd, layout: RowLayout) -> None:
         """Complete an outcome and the rows by what the files of the child contain."""
@@ -356,7 +364,10 @@ def _run(channel: Channel, task: RunTask) -> None:
     channel.put("time", task.job.times.start)
     os.chdir(task.directory)
     sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
-    reported = 0.0
+    reported, kept = 0.0, channel.folder / f"events-{task.number}"
+    for earlier in channel.folder.glob("events-*"):
+        with suppress(OSError):  # an FMU has removed it
+            earlier.unlink()
 
     class Sender(TraceSink):
         """Sends points to the parent."""
@@ -369,7 +380,12 @@ def _run(channel: Channel, task: RunTask) -> None:
             channel.put("points", points)
 
         def append_events(self, events: Any) -> None:
-            channel.put("events", tuple(events))
+            lines = (json.dumps((event.time, event.causes)) + "\n" for event in events)
+            with (
+                suppress(OSError),
+                kept.open("a", encoding="utf-8") as file,
+            ):  # a message takes longer than an instant
+                file.writelines(lines)
 
         def append_errors(self, *errors: Any) -> None:
             if task.keeps_errors:

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from html import escape
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from orchestrator.base.files import Location, write_whole
 from orchestrator.base.signals import CONSTANT, CONSTANT_OF_NOMINAL, largest, rms
 from orchestrator.base.text import TextTable, first_names, grouped
 from orchestrator.data.table import SUFFIXES, Array
-from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace
+from orchestrator.data.trace import METADATA_SUFFIX, FigureArguments, Trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, read_origin, write_trace
 from orchestrator.fmi.messages import Log, LogMessage
 from orchestrator.ssp.coupling import Coupling
@@ -155,9 +155,10 @@ class Result(Mapping[str, NDArray[np.float64]]):
         """As `Trace.to_xarray`: a dataset of the signals with their units."""
         return self.trace.to_xarray()
 
-    def plot(self, *patterns: str | Sequence[str], **options: Any) -> Figure:
+    def plot(self, *patterns: str | Sequence[str], **options: Unpack[FigureArguments]) -> Figure:
         """Recorded signals over time as a matplotlib figure, with their band; arguments of `Trace.figure`."""
-        return self.trace.plot(*patterns, **{"title": self.system.name, "band": self.band, **options})
+        given: FigureArguments = {"title": self.system.name, "band": self.band, **options}
+        return self.trace.plot(*patterns, **given)
 
     @property
     def band(self) -> Trace | None:

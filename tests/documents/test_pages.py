@@ -232,7 +232,6 @@ def test_the_operators_page_fits_into_the_window(width: int, view: str, opened: 
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     outside = """() => [
       ...document.querySelectorAll('.hm-stick text, .hm-foot span, .hm-hands button, .hm-bar button')]
-      .filter(e => e.textContent) // a function that the machine lacks has no label
       .filter(e => e.getBoundingClientRect().left < 0 || e.getBoundingClientRect().right > innerWidth)
       .map(e => e.textContent)"""
     assert page.evaluate(outside) == []
