@@ -35,7 +35,7 @@ from orchestrator.worker.wire import DISCONNECTED, Garbled, read_message
 
 ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process is alive
 CLOSE_TIME = 0.5  # [s] from the end of its messages to its end, else it has lost its connection
-END_TIME = 2.0  # [s] that the system has to end a process that was killed
+END_TIME = 10.0  # [s] that the system has to end a process that was killed
 POLL_INTERVAL = 0.01  # [s] between two checks of the limits
 PIPE_SIZE = 1 << 20  # bytes; an unprivileged user may have that
 MAX_QUOTED = 200  # characters of the last line of stderr
