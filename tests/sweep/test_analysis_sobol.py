@@ -10,8 +10,8 @@ from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, ishigam
 
 from orchestrator.studies import design
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.morris_sobol import RESAMPLES, intervals
 from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, IntervalEstimate
+from orchestrator.studies.analysis.sensitivity import RESAMPLES, intervals
 from orchestrator.studies.study import Choice, Factor
 
 LINEAR = {"x1": 4.0, "x2": -2.0, "x3": 1.0, "x4": 0.0}

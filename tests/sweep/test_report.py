@@ -14,10 +14,9 @@ from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, results
 from orchestrator.base.text import display_unit
 from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, plot
 from orchestrator.pages.plotting import draw
-from orchestrator.studies.analysis.analysis_text import sentences
-from orchestrator.studies.report.study_figures import bands, histogram, medians, tornado
-from orchestrator.studies.report.study_page import _dots
+from orchestrator.studies.analysis.analyse import sentences
 from orchestrator.studies.study import Choice
+from orchestrator.studies.study_page import _dots, bands, histogram, medians, tornado
 
 
 @pytest.mark.parametrize("case", CASES)
