@@ -25,8 +25,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from SALib.analyze import morris, rbd_fast
-from SALib.analyze.sobol import first_order, total_order
+from SALib.analyze import rbd_fast
 from scipy.stats import bootstrap
 
 from orchestrator.data.table import Array
@@ -49,9 +48,19 @@ SEED = 20_01  # fixed, so that equal results give equal intervals
 MORRIS = "elementary effects of a Morris design"
 SOBOL = "Sobol' indices of a Saltelli design"
 LEAST_TRAJECTORIES = 4
+STEP = LEVELS / (2 * (LEVELS - 1))  # of a dimension in a trajectory, over its range [Morris 1991, 3]
 LEAST_BASE_SAMPLES = 16  # for an interval
 MOST_MISSING = 0.1  # fraction of base samples without output up to which the design is used
 WIDE = 0.4  # width of the interval of a total index above which a note says so
+FAST = "first-order indices by RBD-FAST"
+LINEAR = "squared standardised coefficients of a linear model"
+GRID = "main effects on a full grid"
+ENOUGH = 200  # samples for RBD-FAST
+FAST_RESAMPLES = 100  # default of SALib, whose intervals follow from a standard deviation
+BLOCK = 8  # ranks that are shuffled; for 200 samples the 10th harmonic has a wave length of some 40 ranks
+DEGREES_OF_FREEDOM = 10  # least number of samples of a linear model beyond its coefficients
+LEAST_FIT = 0.7  # R^2 below which a linear model does not rank factors [Saltelli et al. 2004]
+ZERO = IntervalEstimate(0.0, 0.0, 0.0)
 
 Rows = NDArray[np.intp]
 
@@ -119,8 +128,18 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
     complete = len(design.y) // width
     if complete < LEAST_TRAJECTORIES:
         return f"expected at least {LEAST_TRAJECTORIES} complete trajectories, got {complete} of {count}"
-    apart = [_elementary_effects(design, y) for y in design.y.T]
-    effects = [_pooled(effects) for effects in zip(*apart, strict=True)]
+    x, y = (values.reshape(complete, width, -1) for values in (design.x, design.y))
+    # of each trajectory, dimension and combination of crossed choices; a step moves one dimension by STEP
+    changes = np.einsum("tsd,tsc->tdc", np.sign(np.diff(x, axis=1)), np.diff(y, axis=1)) / STEP
+    stars = intervals(lambda rows: np.abs(changes[rows]).mean(axis=(0, 2)), complete)
+    means = changes.mean(axis=0)
+    sigmas = np.sqrt(changes.var(axis=0, ddof=1).mean(axis=1) + means.var(axis=1)).tolist()
+    directions = rank_correlations(design, design.y.mean(axis=1))
+    found = zip(design.dimensions, stars, means.mean(axis=1).tolist(), sigmas, directions, strict=True)
+    effects = [
+        Effect(d.name, d.kind, {MU_STAR: star}, {"mu": mu, "sigma": sigma}, direction)
+        for d, star, mu, sigma, direction in found
+    ]
     effects += _option_effects(design, width)
     notes = [
         "mu* is the change of the output over the whole range of a factor; it is not a fraction of a variance"
@@ -129,33 +148,6 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
         notes.append(f"{count - complete} of {count} trajectories are left out, as one of their runs failed")
     largest_first = ordered(effects, MU_STAR)
     return Sensitivity(MORRIS, MU_STAR, complete, float(design.y.var()), largest_first, notes=tuple(notes))
-
-
-def _elementary_effects(design: OutputSamples, y: Array) -> list[Effect]:
-    """mu* and sigma of each factor in one combination of choices, with the values y."""
-    settings = {"num_levels": LEVELS, "num_resamples": RESAMPLES, "seed": np.random.default_rng(SEED)}
-    result = morris.analyze(problem(design.names), design.x, y, **settings)
-    columns = np.array([result[key] for key in ("mu_star", "mu_star_conf", "mu", "sigma")], float).T.tolist()
-    effects = []
-    for d, direction, row in zip(design.dimensions, rank_correlations(design, y), columns, strict=True):
-        star, half, mu, sigma = row
-        estimate = IntervalEstimate(star, star - half, star + half)
-        effects.append(Effect(d.name, d.kind, {MU_STAR: estimate}, {"mu": mu, "sigma": sigma}, direction))
-    return effects
-
-
-def _pooled(effects: tuple[Effect, ...]) -> Effect:
-    """Mean effect over the combinations; the mean of the interval widths is an upper bound of its width."""
-    stars = [effect.estimates[MU_STAR] for effect in effects]
-    value = float(np.mean([s.value for s in stars]))
-    half = float(np.mean([s.ceiling - s.value for s in stars]))
-    mu = np.array([effect.more["mu"] for effect in effects])
-    sigma = np.sqrt(np.mean([effect.more["sigma"] ** 2 for effect in effects]) + mu.var())
-    directions = [effect.direction for effect in effects if effect.direction is not None]
-    estimate = IntervalEstimate(value, value - half, value + half)
-    more = {"mu": float(mu.mean()), "sigma": float(sigma)}
-    direction = float(np.mean(directions)) if directions else None
-    return Effect(effects[0].name, effects[0].kind, {MU_STAR: estimate}, more, direction)
 
 
 def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
@@ -214,30 +206,18 @@ def _sobol_effects(independent_rows: OutputSamples, y: Array) -> list[Effect]:
 
 
 def _indices(y: Array, rows: Rows) -> Array:
-    """S_1 .. S_k, T_1 .. T_k, shape (2 k,), for some of the base samples."""
-    standard = (y[rows] - y.mean()) / (y.std() or 1.0)
-    a, between, b = standard[:, 0], np.moveaxis(standard[:, 1:-1], 1, 0), standard[:, -1]
-    variance = np.concatenate((a, b)).var()
-    if variance <= 0:
-        return np.zeros(2 * len(between))
-    mean_a, mean_b = a.mean(axis=1), b.mean(axis=1)
-    fraction = np.concatenate((mean_a, mean_b)).var() / variance
-    first = [
-        fraction * first_order(mean_a, ab.mean(axis=1), mean_b) if fraction > 1e-12 else 0.0 for ab in between
-    ]
-    total = [total_order(a.ravel(), ab.ravel(), b.ravel()) for ab in between]
-    return np.array(first + total, float)
+    """S_1 .. S_k, T_1 .. T_k, shape (2 k,), for some of the base samples.
 
+        S_i = mean(f_B (f_ABi - f_A)) / V        T_i = mean((f_A - f_ABi)^2) / 2 V
 
-FAST = "first-order indices by RBD-FAST"
-LINEAR = "squared standardised coefficients of a linear model"
-GRID = "main effects on a full grid"
-ENOUGH = 200  # samples for RBD-FAST
-FAST_RESAMPLES = 100  # default of SALib, whose intervals follow from a standard deviation
-BLOCK = 8  # ranks that are shuffled; for 200 samples the 10th harmonic has a wave length of some 40 ranks
-DEGREES_OF_FREEDOM = 10  # least number of samples of a linear model beyond its coefficients
-LEAST_FIT = 0.7  # R^2 below which a linear model does not rank factors [Saltelli et al. 2004]
-ZERO = IntervalEstimate(0.0, 0.0, 0.0)
+    Saltelli et al., Comput. Phys. Commun. 181 (2010), table 2, (b) and (f); in S_i f is the mean over the
+    combinations of crossed choices.
+    """
+    y = y[rows] - y.mean()
+    variance, means = y[:, [0, -1]].var(), y.mean(axis=2)
+    first = (means[:, -1:] * (means[:, 1:-1] - means[:, :1])).mean(axis=0)
+    total = ((y[:, :1] - y[:, 1:-1]) ** 2).mean(axis=(0, 2)) / 2
+    return np.concatenate((first, total)) / (variance or np.inf)
 
 
 # ---- plain samples
