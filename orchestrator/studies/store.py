@@ -175,12 +175,10 @@ class Store:
         """Store the outcomes of a batch."""
         self._parts.mkdir(exist_ok=True)
         batch = sorted(batch, key=lambda r: r.run)
-        kinds = {"run": pa.int64(), "status": pa.string(), "reason": pa.string()}
-        columns = {name: pa.array([getattr(r, name) for r in batch], kind) for name, kind in kinds.items()}
+        names = ("run", "status", "reason", "energy_error", "start")
+        columns = {name: pa.array([getattr(r, name) for r in batch]) for name in names}
         for i, output in enumerate(self.study.outputs):
-            columns[output.column] = pa.array([float(r.outputs[i]) for r in batch], pa.float64())
-        columns["energy_error"] = pa.array([r.energy_error for r in batch], pa.float64())
-        columns["start"] = pa.array([r.start for r in batch], pa.float64())
+            columns[output.column] = pa.array([float(r.outputs[i]) for r in batch])
         for i, name in enumerate(self.study.bands):
             lists = [np.empty(0) if r.bands is None else r.bands[i] for r in batch]
             columns[f"{BAND}{name}"] = pa.array(lists, pa.list_(pa.float64()))
