@@ -23,11 +23,7 @@ WIDTH = 100  # characters
 
 
 @command
-def variants(
-    system: System = None,
-    cost: bool = False,
-    json: bool = False,
-) -> bool:
+def variants(system: System = None, cost: bool = False, json: bool = False) -> bool:
     """List the variants of each part, with numbers of states and inputs, and the range of validity.
 
     system   System in which the cost of the variants is measured; default: build/harvester.ssp, else the one
