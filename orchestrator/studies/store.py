@@ -8,7 +8,7 @@
     bands.parquet  signals stored over time, for the bands of the report: run, time [s], a column per signal
     runs.parquet   one row per run: run, status, reason, energy_error (largest energy error of the coupling,
                    over the energy that its bond exchanged), then the columns that `study` lists
-    report.html, analysis.json   the analysis, written by orchestrator/studies/report
+    report.html, analysis.json   the analysis, written by orchestrator/studies/study_page.py
 
 Each file is written completely or not at all. The results are written after the last run, and do not depend
 on how often the study was started.
