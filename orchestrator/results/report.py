@@ -235,7 +235,7 @@ class Report:
         values = html_page.json_values(self.values())
         return json.dumps(values, indent=1, allow_nan=False, ensure_ascii=False)
 
-    def write(self, page: Path) -> tuple[Path, Path]:
-        """Write the page, and the JSON of the same name; returns both."""
+    def write(self, page: Path, numbers: Path | None = None) -> tuple[Path, Path]:
+        """Write the page, and the JSON, by default of the same name; returns both."""
         write_whole(page, self.html())
-        return page, write_whole(page.with_suffix(".json"), self.json() + "\n")
+        return page, write_whole(numbers or page.with_suffix(".json"), self.json() + "\n")

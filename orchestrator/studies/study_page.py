@@ -11,7 +11,7 @@ tornado     sensitivities of an output, the largest on top, each bar with its 95
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,6 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from orchestrator.base.files import write_whole
 from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit, name_with_unit
 from orchestrator.data.table import Array
 from orchestrator.pages.figures import MARKS, PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel, bars
@@ -182,31 +181,27 @@ def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> TraceFigure:
     effects, measure = sensitivity.effects[:MOST_BARS], sensitivity.measure
     unit, most = (analysed.display, np.inf) if measure == MU_STAR else (DisplayUnit("1", "%"), 1.0)
 
-    def drawn(values: Iterable[float]) -> Array:
-        return unit.factor * np.clip([*values], 0.0, most)
+    def drawn(value: float) -> float:
+        return unit.factor * float(np.clip(value, 0.0, most))
 
-    rows = [-float(k) for k in range(len(effects))]
-    ends = [drawn([effect.estimates[measure].value])[0] for effect in effects]
-    lines = []
-    names = ("total", "total, choice") if measure == TOTAL else ("factor", "choice")
+    rows = [(-float(k), effect, effect.estimates[measure]) for k, effect in enumerate(effects)]
+    lines, names = list[TraceLine](), ("total", "total, choice") if measure == TOTAL else ("factor", "choice")
     for kind, name, colour in zip(("factor", "choice"), names, LIGHT, strict=False):
-        of_kind = [(row, 0.0, end) for row, end, e in zip(rows, ends, effects, strict=True) if e.kind == kind]
+        of_kind = [(row, 0.0, drawn(estimate.value)) for row, e, estimate in rows if e.kind == kind]
         lines += [bars(of_kind, 0.36, colour, name)] if of_kind else []
     if measure == TOTAL:
-        firsts = drawn(effect.estimates[FIRST].value for effect in effects)
-        within = [(row, 0.0, first) for row, first in zip(rows, firsts, strict=True)]
+        within = [(row, 0.0, drawn(e.estimates[FIRST].value)) for row, e, _ in rows]
         lines.append(bars(within, 0.17, DARK[0], "first order"))
-    estimates = [(row, e.estimates[measure]) for row, e in zip(rows, effects, strict=True)]
-    if limits := [(row, e.floor, e.ceiling) for row, e in estimates if e.low is not None]:
-        x = np.concatenate([[*drawn([low, high]), np.nan] for _, low, high in limits])
-        y = np.concatenate([[row, row, np.nan] for row, *_ in limits])
+    if limits := [(row, e.floor, e.ceiling) for row, _, e in rows if e.low is not None]:
+        x = np.ravel([(drawn(low), drawn(high), np.nan) for _, low, high in limits])
+        y = np.ravel([(row, row, np.nan) for row, *_ in limits])
         lines.append(TraceLine(x, y, {"color": PALETTE.ink, "linewidth": 1.4}, "95 %"))
-    if spread := [(row, e.more["sigma"]) for row, e in zip(rows, effects, strict=True) if "sigma" in e.more]:
+    if spread := [(row, e.more["sigma"]) for row, e, _ in rows if "sigma" in e.more]:
         style = {"color": PALETTE.bad, "marker": "D"}
         y, sigma = np.array(spread).T
         lines.append(TraceLine(unit.factor * sigma, y, style, "\N{GREEK SMALL LETTER SIGMA} of the effects"))
     right = max(float(np.nanmax(line.time)) for line in lines)
-    words = {row: effect.label.replace(" (", "\n(") for row, effect in zip(rows, effects, strict=True)}
+    words = {row: effect.label.replace(" (", "\n(") for row, effect, _ in rows}
     axis = name_with_unit(LABELS.get(measure, "fraction of the variance"), unit.display)
     row_height = 0.9 if any("\n" in word for word in words.values()) else 0.6
     panel = TracePanel("", lines, heights=(row_height * len(effects) + 0.8, 0.0), words=words)
@@ -227,8 +222,7 @@ PURE = DisplayUnit("", "")
 def write(folder: Path, results: Results) -> Report:
     """Analyse a study and write both files; equal results give equal bytes."""
     made = study_report(results, analyse(results))
-    write_whole(folder / PAGE, made.html())
-    write_whole(folder / NUMBERS, made.json() + "\n")
+    made.write(folder / PAGE, folder / NUMBERS)
     return made
 
 
