@@ -176,7 +176,6 @@ def system_file(chosen: Path | None, name: str = SYSTEM.name) -> Path:
 
     If there is none, the path, which the caller then reports as missing.
     """
-
     found, other = find(chosen or BUILD / name, SYSTEMS), find(chosen or name, SYSTEMS)
     if found.exists() or not other.exists():
         return found

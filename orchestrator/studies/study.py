@@ -122,7 +122,7 @@ class Choice:
     """A scenario, a parameter set or a variant of a component that differs from run to run.
 
     name     "scenario", "parameters", or the name of a component
-    options  files or names; each is run with every sample of the factors
+    options  files or names, or one of them; each is run with every sample of the factors
     sampled  the choice is a dimension of the samples instead; all options have the same probability
     """
 
@@ -153,7 +153,7 @@ def short(option: str) -> str:
 class Output:
     """One value per run: a measure of a signal over a time window [s].
 
-    start, stop  default: from the beginning, to the end of the run
+    start, stop  a number, or a text such as "500ms"; default: from the beginning, to the end of the run
     band         the signal is stored over time, too
     unit         unit of the value; follows from `signal_unit`, the unit in the FMU
     """
@@ -403,14 +403,12 @@ def read(file: str | Path) -> Study:
     found = toml.read_dataclass(_File, Table(table.where, own))
     with Study(source=str(path)).located():
         given = {name: table.data[name] for name in (*RUN, "band_step") if name in table.data}
+        choices = {n: c if isinstance(c, _Choice) else _Choice(c) for n, c in found.choices.items()}
         made = {
             "title": found.title or path.stem,
             "options": {name: table.data[name] for name in OPTIONS if name in table.data},
             "factors": [_factor(name, factor) for name, factor in found.factors.items()],
-            "choices": [
-                Choice(name, *((c.options, c.sampled) if isinstance(c, _Choice) else (c,)))
-                for name, c in found.choices.items()
-            ],
+            "choices": [Choice(name, **vars(choice)) for name, choice in choices.items()],
             "outputs": [Output(name, **vars(output)) for name, output in found.outputs.items()],
             "fixed": {name: _start(name, value) for name, value in found.fixed.items()},
         }

@@ -32,8 +32,7 @@ from orchestrator.studies.analysis.results import (
     samples,
 )
 from orchestrator.studies.store import Results
-from orchestrator.studies.study import MEASURES as NAMES
-from orchestrator.studies.study import START, Output, Study, short
+from orchestrator.studies.study import MEASURES, START, Output, Study, short
 
 FEWEST_RUNS = 5  # fewest failed, and fewest completed, runs for a test of what makes runs fail
 SIGNIFICANCE = 0.01  # probability of a false alarm over all factors together (Bonferroni)
@@ -162,7 +161,7 @@ def _from_saltelli(data: OutputSamples) -> Sensitivity | str:
     return replace(result, notes=(note, *result.notes))
 
 
-MEASURES = {name: name for name in NAMES} | {
+MEASURE_NAMES = {name: name for name in MEASURES} | {
     "rms": "root mean square",
     "final": "final value",
     "time_of_maximum": "time of the maximum",
@@ -180,7 +179,7 @@ def output_description(analysed: OutputAnalysis) -> str:
     window = ""
     if start is not None or stop is not None:
         window = f" from {start or 0:g} s" + (f" to {stop:g} s" if stop is not None else " on")
-    return f"{MEASURES[analysed.measure]} of {analysed.signal}{window}"
+    return f"{MEASURE_NAMES[analysed.measure]} of {analysed.signal}{window}"
 
 
 def sentences(analysed: OutputAnalysis) -> list[str]:

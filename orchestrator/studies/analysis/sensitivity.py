@@ -1,5 +1,21 @@
 """Sensitivities from designs of Morris and Saltelli, a plain sample (Latin hypercube, Sobol' points), a grid.
 
+Elementary effects of a Morris design:
+
+    d_i = (y(x with x_i moved by delta) - y(x)) / delta        mu* = mean |d_i|        sigma = sd of d_i
+
+delta is a fraction of the factor's range (in probability): mu* is the change of the output over the whole
+range, in its unit. It ranks factors; it is not a fraction of a variance. Morris (1991), Technometrics 33,
+161-174; mu*: Campolongo et al. (2007), Environmental Modelling & Software 22, 1509-1518.
+
+Sobol' indices of a Saltelli design: rows A, A with one column of B after the other, B, per base sample.
+
+    S_i = Var(E(y | x_i)) / V        T_i = E(Var(y | all but x_i)) / V
+
+Estimators of Saltelli et al. (2010), Computer Physics Communications 181, 259-270, table 2 (b) and (f). V is
+over factors and choices: y averaged over the choices gives S_i, all of y gives T_i. Intervals: trajectories
+and base samples are resampled; one with all its rows and combinations is one draw.
+
 A linear model of an output: standardised coefficients, their fractions of the variance, and R^2.
 
     y = b_0 + sum b_i x_i + e        S_i = (b_i sd(x_i) / sd(y))^2
@@ -41,7 +57,7 @@ from orchestrator.studies.analysis.results import (
     rank_correlations,
 )
 from orchestrator.studies.design import LEVELS, problem
-from orchestrator.studies.study import Choice, levels
+from orchestrator.studies.study import Choice
 
 RESAMPLES = 400  # of the bootstrap: ends of a 95 % interval are accurate to some percent of its width
 SEED = 20_01  # fixed, so that equal results give equal intervals
@@ -122,14 +138,17 @@ def of_crossed(samples: OutputSamples) -> list[Effect]:
 
 
 def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
-    """mu* and sigma of each factor and choice; a reason if too few trajectories are complete."""
+    """mu* and sigma of each factor and choice; a reason if too few trajectories are complete.
+
+    Those of a factor are over the trajectories and the combinations of crossed choices together.
+    """
     width = len(samples.names) + 1
     design, count = samples.blocks(width)
     complete = len(design.y) // width
     if complete < LEAST_TRAJECTORIES:
         return f"expected at least {LEAST_TRAJECTORIES} complete trajectories, got {complete} of {count}"
     x, y = (values.reshape(complete, width, -1) for values in (design.x, design.y))
-    # of each trajectory, dimension and combination of crossed choices; a step moves one dimension by STEP
+    # shape (trajectories, dimensions, combinations of crossed choices); a step moves one dimension by STEP
     changes = np.einsum("tsd,tsc->tdc", np.sign(np.diff(x, axis=1)), np.diff(y, axis=1)) / STEP
     stars = intervals(lambda rows: np.abs(changes[rows]).mean(axis=(0, 2)), complete)
     means = changes.mean(axis=0)
@@ -206,12 +225,11 @@ def _sobol_effects(independent_rows: OutputSamples, y: Array) -> list[Effect]:
 
 
 def _indices(y: Array, rows: Rows) -> Array:
-    """S_1 .. S_k, T_1 .. T_k, shape (2 k,), for some of the base samples.
+    """S_1 .. S_k, T_1 .. T_k, shape (2 k,), for some of the base samples; 0 if all values are equal.
 
         S_i = mean(f_B (f_ABi - f_A)) / V        T_i = mean((f_A - f_ABi)^2) / 2 V
 
-    Saltelli et al., Comput. Phys. Commun. 181 (2010), table 2, (b) and (f); in S_i f is the mean over the
-    combinations of crossed choices.
+    In S_i f is the mean over the combinations of crossed choices.
     """
     y = y[rows] - y.mean()
     variance, means = y[:, [0, -1]].var(), y.mean(axis=2)
@@ -361,15 +379,22 @@ def _shuffled_ranks(x: Array, rng: np.random.Generator) -> Array:
 
 
 def main_effects(samples: OutputSamples) -> Sensitivity | str:
-    """First-order index of each factor and choice, and the total index if no run failed."""
+    """First-order index of each factor and choice, and the total index if no run failed.
+
+    The values of a factor are those of the samples: tables of several grids can be put together.
+    """
     dimensions = (*samples.dimensions, *samples.crossed)
-    y = samples.y.reshape([levels(dimension) for dimension in dimensions])
-    known = np.isfinite(y)
-    count, complete = int(known.sum()), bool(known.all())
+    places = [np.unique(column, return_inverse=True) for column in samples.x.T]
+    levels = [len(values) for values, _ in places]
+    y = np.full([*levels, samples.y.shape[1]], np.nan)
+    y[tuple(index for _, index in places)] = samples.y
+    y = y.reshape([*levels, *(len(choice.options) for choice in samples.crossed)])
+    count = int(np.isfinite(y).sum())
+    complete, known = count == y.size, np.isfinite(samples.y)
     if count < 2:
         return f"expected at least 2 runs with the output, got {count}"
     x = np.repeat(samples.x, samples.y.shape[1], axis=0)[known.ravel()]
-    directions = [*rank_correlations(replace(samples, x=x), y[known]), *[None] * len(samples.crossed)]
+    directions = rank_correlations(replace(samples, x=x), samples.y[known]) + [None] * len(samples.crossed)
     effects = []
     for axis, (dimension, direction) in enumerate(zip(dimensions, directions, strict=True)):
         first, total = of_axis(y, axis)
