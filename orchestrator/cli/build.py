@@ -167,10 +167,10 @@ def crane(
         print(f"{drawing}: the working range")
 
 
-NEXT = """\
+MODELICA_NEXT = """\
 next, in OpenModelica:
   loadModel(Modelica, {{"4.0.0"}}); loadFile("{package}");"""
-MINE = """\
+MODELICA_EXAMPLE = """\
   loadFile("Mine.mo"); simulate(Mine, stopTime = 8);
 with a file Mine.mo, such as
   model Mine
@@ -210,7 +210,7 @@ def modelica(
     inputs = {file: {port.variable for port in load(file).ports("input")} for file in files}
     default = [known for known in CONSTANT_INPUTS if known in set().union(*inputs.values())]
     package = write_package(files, out, name, constant or default, LEVERS)
-    print(f"{package}\n{NEXT.format(package=package.as_posix())}")
+    print(f"{package}\n{MODELICA_NEXT.format(package=package.as_posix())}")
     machines = (f for f in files if f.suffix == ".fmu" and inputs[f].issuperset(LEVERS))
     if machine := next(machines, None):
-        print(MINE.format(block=f"{name}.FMUs.{class_name(machine.stem)}", lever=LEVERS[0]))
+        print(MODELICA_EXAMPLE.format(block=f"{name}.FMUs.{class_name(machine.stem)}", lever=LEVERS[0]))

@@ -52,14 +52,14 @@ def check(
     return not report.failed
 
 
-DEFAULT = BUILD / "faults" / "diagnosis.fmu"
-NOT_KNOWN = 3  # exit status
+DIAGNOSIS = BUILD / "faults" / "diagnosis.fmu"
+NOT_KNOWN = 3  # exit status of `diagnose`
 
 
 @command
 def diagnose(
     recording: Annotated[Path, Kind("FILE", positional=True)],
-    fmu: File = DEFAULT,
+    fmu: File = DIAGNOSIS,
     parameters: Annotated[list[Path] | None, Kind("FILE")] = None,
     learn: File | None = None,
     out: Folder = BUILD,
@@ -81,7 +81,7 @@ def diagnose(
     from orchestrator.results.diagnosis import diagnose as diagnosed
     from orchestrator.results.diagnosis import learned, learned_values, picture
 
-    if fmu == DEFAULT and not fmu.exists():
+    if fmu == DIAGNOSIS and not fmu.exists():
         raise Problem(
             f"{fmu}: no such file; make it with: harvester build --faults --fmi 2 --out {fmu.parent}"
         )
