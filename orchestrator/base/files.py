@@ -18,7 +18,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from io import BytesIO, StringIO
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
@@ -344,7 +344,7 @@ class Location:
         """As `zip`, also in the context of `archive_kept_open` opened anew."""
         with self.opened() as file, self._as_zip(file) as archive:
             if self.members:  # an FMU, whose checksum a run needs
-                self._checksum(file)
+                self._kept(partial(_sha256, file))
             yield archive
 
     def _as_zip(self, file: IO[bytes]) -> zipfile.ZipFile:
@@ -453,7 +453,7 @@ class Location:
             shared = _kept_folder((os.getpid(), _checksums.get(self._stamp(), ""), without))
             if not shared:
                 with self.opened() as file:
-                    key = os.getpid(), self._checksum(file), without
+                    key = os.getpid(), self._kept(partial(_sha256, file)), without
                     shared = _unpacked[key] = _kept_folder(key) or self._shared(file, without)
             shared.users += 1
         try:
@@ -473,13 +473,11 @@ class Location:
         stamp = about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns
         return *stamp, os.path.abspath(self.path), self.members
 
-    def _checksum(self, file: IO[bytes]) -> str:
-        """The SHA-256 of this file, which is open; kept until it is written again."""
+    def _kept(self, checksum: Callable[[], str]) -> str:
+        """The checksum of this file, kept until it is written again."""
         stamp = self._stamp()
         if (known := _checksums.get(stamp)) is None:
-            file.seek(0)
-            known = _sha256(file)
-            file.seek(0)
+            known = checksum()
             _checksums.update({stamp: known} if stamp else {})
         return known
 
@@ -496,11 +494,7 @@ class Location:
     @property
     def kept_sha256(self) -> str:
         """As `sha256`, kept until the file or the folder is written again."""
-        stamp = self._stamp()
-        if (known := _checksums.get(stamp)) is None:
-            known = self.sha256
-            _checksums.update({stamp: known} if stamp else {})
-        return known
+        return self._kept(lambda: self.sha256)
 
     @property
     def sha256(self) -> str:
@@ -552,7 +546,11 @@ def _is_loaded(shared: SharedFolder) -> bool:
 
 
 def _sha256(file: IO[bytes]) -> str:
-    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+    """Of the whole file, which is at its beginning afterwards."""
+    file.seek(0)
+    found = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+    file.seek(0)
+    return found
 
 
 def _reason(error: Exception) -> str:

@@ -9,7 +9,7 @@ so that `harvester --help` stays fast.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from inspect import Parameter, cleandoc, signature
@@ -112,6 +112,8 @@ class Declared:
         if self.mapping is not None and not isinstance(value, Mapping):
             raise ValueError("a mapping from name to value")
         if self.repeatable and self.mapping is None:
+            if not isinstance(value, Iterable):
+                raise ValueError("a text or a list of texts")
             return (value,) if isinstance(value, str | Path) else tuple(value)
         if self.numeric:
             return self._number(value)

@@ -28,7 +28,7 @@ from orchestrator.base.errors import Problem, suggest
 
 Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-MAX_LENGTH = 200  # characters of a unit string, which limits the depth of brackets
+MAX_LENGTH = 200  # characters of a unit string
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,8 @@ QUANTITIES = {
 }  # fmt: skip
 
 _SPELLING = str.maketrans({"²": "2", "³": "3", "·": ".", "*": ".", "µ": "u", "μ": "u", "^": None})
-# A symbol with its power, or 1, or an operator: product, quotient, brackets.
-_TOKEN = re.compile(r"(?P<name>[A-Za-z%]+)(?:(?P<power>-?\d{1,2})(?!\d))?|1(?!\d)|[./()]")
+_FACTOR = re.compile(r"(?P<name>[A-Za-z%]+)(?P<power>-?\d{1,2})?|1")  # a symbol with its power, or 1
+_BRACKETS = re.compile(r"\(([^()]*)\)")  # the innermost ones
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -333,35 +333,30 @@ def _powered(name: str, power: int) -> str:
 
 def _factors(text: str) -> list[tuple[str, int]]:
     """Symbols and powers of "a.b2/(c.d)"; a divisor without brackets is a single factor."""
-    if len(text) > MAX_LENGTH:
+    if len(text) > MAX_LENGTH or "#" in text:
         raise _UnknownUnit
-    tokens = [*_TOKEN.finditer(text)]
-    if sum(len(token[0]) for token in tokens) < len(text):
-        raise _UnknownUnit
-    factors = _read_product(tokens)
-    if tokens:
-        raise _UnknownUnit
+    inner: dict[str, list[tuple[str, int]]] = {}  # name in place of brackets -> their factors
+    while brackets := _BRACKETS.search(text):
+        name = f"#{len(inner)}#"
+        inner[name] = _joined(brackets[1], inner)
+        text = f"{text[: brackets.start()]}{name}{text[brackets.end() :]}"
+    return _joined(text, inner)
+
+
+def _joined(text: str, inner: Mapping[str, list[tuple[str, int]]]) -> list[tuple[str, int]]:
+    """Factors joined by "." and "/"; inner: those of brackets by their names."""
+    factors = list[tuple[str, int]]()
+    for k, product in enumerate(text.split("/")):
+        parts = product.split(".")
+        if k and len(parts) > 1:  # a/b.c is ambiguous: brackets are required
+            raise _UnknownUnit
+        for part in parts:
+            if (found := inner.get(part)) is None:
+                if not (match := _FACTOR.fullmatch(part)):
+                    raise _UnknownUnit
+                found = [(match["name"], int(match["power"] or 1))] if match["name"] else []
+            factors += [(name, -power if k else power) for name, power in found]
     return factors
-
-
-def _read_product(tokens: list[re.Match[str]]) -> list[tuple[str, int]]:
-    """Factors joined by "." and "/", up to a closing bracket or the end; removes their tokens."""
-    factors, inverse = list[tuple[str, int]](), False
-    while tokens and tokens[0][0] not in "./)":
-        token = tokens.pop(0)
-        inner = [] if token[0] == "1" else [(token["name"], int(token["power"] or 1))]
-        if token[0] == "(":
-            inner = _read_product(tokens)
-            if not tokens or tokens.pop(0)[0] != ")":
-                raise _UnknownUnit
-        factors += [(name, -power if inverse else power) for name, power in inner]
-        if not tokens or tokens[0][0] == ")":
-            return factors
-        sign = tokens.pop(0)[0]
-        if sign not in "./" or (inverse and sign == "."):  # a/b.c is ambiguous: brackets are required
-            break
-        inverse = sign == "/"
-    raise _UnknownUnit
 
 
 @dataclass(frozen=True)

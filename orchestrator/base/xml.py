@@ -101,12 +101,7 @@ def attributes_of(element: Element) -> dict[str, str]:
 
 def read_xml(file: Location, expected: str) -> XmlElement:
     """The root of an XML file; its local name must be `expected`."""
-    return XmlElement(file, parse(file, expected))
-
-
-def parse(file: Location, expected: str) -> Element:
-    """The root of an XML file as an element of lxml; its local name must be `expected`."""
-    return parse_text(file.read(MAX_BYTES), file, expected)
+    return XmlElement(file, parse_text(file.read(MAX_BYTES), file, expected))
 
 
 def parse_text(text: bytes, file: Location, expected: str) -> Element:

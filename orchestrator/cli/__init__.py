@@ -8,16 +8,13 @@ from importlib import import_module
 from typing import Any
 
 FILES = {  # of this folder -> commands, in the order of the help
-    "build": "build",
-    "crane": "crane",
-    "modelica": "modelica",
+    "build": "build crane modelica",
     "lists": "variants parameters signals",
-    "check": "check",
+    "check": "check diagnose",
     "run": "run reference linearize",
     "results": "validate compare plot energy",
     "studies": "convergence sweep track",
     "identify": "rig describe identify",
-    "diagnose": "diagnose",
     "view": "view page",
 }
 COMMANDS = {command: file for file, commands in FILES.items() for command in commands.split()}

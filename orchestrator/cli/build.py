@@ -1,14 +1,15 @@
-"""`harvester build`: build the FMUs of the machine, or one FMU whose code is Python."""
+"""`harvester build`, `crane`, `modelica`: FMUs of a machine, a machine from one file, a Modelica package."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import EXTRAS, require
+from orchestrator.base.files import VARIANTS, make_folder, write_whole
 from orchestrator.base.options import Kind, Patterns
-from orchestrator.cli.options import BUILD, File, Folder, command
+from orchestrator.cli.options import BUILD, File, Folder, Text, command, system_file
 
 
 @command
@@ -46,7 +47,6 @@ def build(
                  all platforms, and no compiler is needed.
     """
     from fmus.package_files import BUILT, copy_shipped
-    from orchestrator.base.files import make_folder
 
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}
     if fmi not in versions:
@@ -107,3 +107,110 @@ def build(
 def _tell(paths: list[Path]) -> None:
     for path in paths:
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+
+
+@command
+def crane(
+    action: Annotated[Literal["new", "check", "export", "import"], Kind("ACTION", positional=True)],
+    file: Annotated[Path, Kind("FILE", positional=True)],
+    *,
+    drawing: File | None = None,
+    out: File | None = None,
+) -> None:
+    """Describe a crane of your own in one file: begin one, or check it.
+
+    `harvester build --crane FILE` then builds its FMUs and its system.
+
+    action    new: write a commented file of a small crane; check: print range, lever, forces, holding
+              pressure, speed and first mode of each axis, loads, and the data sheet beside them, or all
+              mistakes.
+              export: write links and joints as a URDF. import: begin a description from a URDF, and tell
+              what is missing.
+    file      The description of the crane (.toml); with import a URDF.
+    out       With export and import: the file to write; default: FILE with another ending.
+    drawing   With check: picture (.png) of the working range, coloured by the load that can be held.
+    """
+    require("build", "harvester crane")
+    from fmus.crane.axes import capacity
+    from fmus.crane.check import check, table
+    from fmus.crane.description import new, read
+    from fmus.crane.speeds import full_speeds
+
+    for name, given, actions in (("drawing", drawing, ("check",)), ("out", out, ("export", "import"))):
+        if given is not None and action not in actions:
+            raise Problem(f"--{name} {given}: expected only with {' or '.join(actions)}, got {action}")
+    if action == "new":
+        print(new(file))
+        return
+    if action == "import":
+        from fmus.crane.urdf import imported
+
+        print(imported(file, out or file.with_suffix(".toml")))
+        return
+    description = read(file)
+    found = check(description)
+    if action == "export":
+        from fmus.crane.urdf import export, left_out
+
+        target = out or file.with_suffix(".urdf")
+        speeds = full_speeds(description, found, ["lumped"])
+        write_whole(target, export(description, found, speeds).encode())
+        print("\n".join([f"{target}: {len(description.joints)} links", *left_out(description)]))
+        return
+    loads = capacity(description, found)
+    print(table(description, found, loads, full_speeds(description, found)))
+    if drawing is not None:
+        from fmus.crane.drawing import drawing as drawn
+        from orchestrator.pages.plotting import png
+
+        write_whole(drawing, png(drawn(description, loads)))
+        print(f"{drawing}: the working range")
+
+
+MODELICA_NEXT = """\
+next, in OpenModelica:
+  loadModel(Modelica, {{"4.0.0"}}); loadFile("{package}");"""
+MODELICA_EXAMPLE = """\
+  loadFile("Mine.mo"); simulate(Mine, stopTime = 8);
+with a file Mine.mo, such as
+  model Mine
+    {block} machine;
+    Modelica.Blocks.Sources.Sine lever(amplitude = 3, f = 0.3, startTime = 1);
+  equation
+    connect(lever.y, machine.{lever});  // levers without connection or modifier are 0
+  end Mine;"""
+
+
+@command
+def modelica(
+    files: Annotated[list[Path] | None, Kind("FILE...", positional=True)] = None,
+    out: Folder = BUILD / "modelica",
+    name: Text = "Harvester",
+    constant: Annotated[list[str] | None, Kind("INPUT")] = None,
+) -> None:
+    """Write FMUs as a Modelica package: blocks, models with mechanical flanges, connected systems.
+
+    The FMUs are imported for Model Exchange: the solver of the Modelica tool integrates them.
+
+    files      FMUs of FMI 2.0 and systems (.fmu, .ssp); default: build/harvester.ssp, build/harvester.fmu and
+               build/variants/*.fmu, else those in the installed package.
+    out        Folder of the package; it becomes DIR/NAME/package.mo.
+    name       Name of the package.
+    constant   Input that becomes a parameter, or a connector if use_INPUT_in is true; default: those of
+               supply_pressure, tank_pressure, oil_temperature and payload_mass that the FMUs have.
+    """
+    from fmus.machine import CONSTANT_INPUTS, LEVERS
+    from orchestrator.modelica import write_package
+    from orchestrator.modelica.syntax import class_name
+    from orchestrator.ssp.load import load
+
+    if not files:
+        system = system_file(None)
+        files = [system, system.with_suffix(".fmu"), *sorted((system.parent / VARIANTS).glob("*.fmu"))]
+    inputs = {file: {port.variable for port in load(file).ports("input")} for file in files}
+    default = [known for known in CONSTANT_INPUTS if known in set().union(*inputs.values())]
+    package = write_package(files, out, name, constant or default, LEVERS)
+    print(f"{package}\n{MODELICA_NEXT.format(package=package.as_posix())}")
+    machines = (f for f in files if f.suffix == ".fmu" and inputs[f].issuperset(LEVERS))
+    if machine := next(machines, None):
+        print(MODELICA_EXAMPLE.format(block=f"{name}.FMUs.{class_name(machine.stem)}", lever=LEVERS[0]))

@@ -1,4 +1,4 @@
-"""`harvester check`: find what is wrong with an FMU."""
+"""`harvester check` and `diagnose`: find what is wrong with an FMU, and what is broken in a machine."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import write_whole
+from orchestrator.base.files import make_folder, require, write_whole
 from orchestrator.base.options import Kind
-from orchestrator.cli.options import command
+from orchestrator.cli.options import BUILD, File, Folder, command
 
 
 @command
@@ -50,3 +50,51 @@ def check(
     if json:
         write_whole(json, report.report().json())
     return not report.failed
+
+
+DIAGNOSIS = BUILD / "faults" / "diagnosis.fmu"
+NOT_KNOWN = 3  # exit status of `diagnose`
+
+
+@command
+def diagnose(
+    recording: Annotated[Path, Kind("FILE", positional=True)],
+    fmu: File = DIAGNOSIS,
+    parameters: Annotated[list[Path] | None, Kind("FILE")] = None,
+    learn: File | None = None,
+    out: Folder = BUILD,
+) -> int:
+    """Tell what is broken in a machine, from a recording of its pressures, joint angles and commands.
+
+    Writes a report. The exit status is 1 if something is broken, and 3 if nothing was found, but there are
+    less than three minutes of readings, or less than half of the parts can be judged.
+
+    recording    Columns with the names of the inputs of the FMU, also COMPONENT.NAME or NAME_measured, best
+                 at 100 Hz or more (.csv, .parquet, .mat, .mf4, .tdms); a .toml of the same name can describe
+                 others.
+    fmu          FMU that diagnoses; `harvester build --faults` makes it.
+    parameters   Parameter sets (.ssv), such as what was learned of the healthy machine.
+    learn        The recording is of the healthy machine, without payload: write what was learned to this
+                 file (.ssv).
+    out          Folder of diagnosis.html and .json.
+    """
+    from orchestrator.results.diagnosis import diagnose as diagnosed
+    from orchestrator.results.diagnosis import learned, learned_values, picture
+
+    if fmu == DIAGNOSIS and not fmu.exists():
+        raise Problem(
+            f"{fmu}: no such file; make it with: harvester build --faults --fmi 2 --out {fmu.parent}"
+        )
+    require(fmu, (".fmu",))
+    make_folder(out)
+    found = diagnosed(fmu, recording, parameters or ())
+    if learn is not None:
+        write_whole(learn, learned(found))
+        lines = [*found.remarks, found.shortness] if found.shortness else found.remarks
+        print(*lines, f"{learn}: {len(learned_values(found))} values of the healthy machine", sep="\n")
+        return 0
+    report = found.report(picture(found, fmu))
+    print(report.text(verdict=False))
+    page, numbers = report.write(out / "diagnosis.html")
+    print(f"Report: {page}, {numbers}")
+    return 1 if found.broken else 0 if found.is_known else NOT_KNOWN

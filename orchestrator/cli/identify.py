@@ -7,6 +7,7 @@ from typing import Annotated
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
+from orchestrator.base.files import make_folder
 from orchestrator.base.options import Kind
 from orchestrator.cli.options import BUILD, File, Folder, Text, command
 
@@ -80,7 +81,6 @@ def identify(
         raise Problem(f"{folder}: expected a folder of recordings, got {got}")
     from fmus.identification.command import run as run_identify
     from fmus.identification.machine import FREE
-    from orchestrator.base.files import make_folder
 
     make_folder(out.parent)
     make_folder(report)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
+from orchestrator.base.files import require_system
 from orchestrator.base.options import Kind, Swaps
 from orchestrator.cli.options import BUILD, System, command, system_file
 
@@ -22,11 +23,7 @@ WIDTH = 100  # characters
 
 
 @command
-def variants(
-    system: System = None,
-    cost: bool = False,
-    json: bool = False,
-) -> bool:
+def variants(system: System = None, cost: bool = False, json: bool = False) -> bool:
     """List the variants of each part, with numbers of states and inputs, and the range of validity.
 
     system   System in which the cost of the variants is measured; default: build/harvester.ssp, else the one
@@ -46,7 +43,6 @@ def variants(
         print("\n".join(variant_lines({})))
         print("To measure the cost of each variant on this computer: harvester variants --cost")
         return True
-    from orchestrator.base.files import require_system
     from orchestrator.studies.variant_costs import costs
 
     measured = costs(require_system(system_file(system)), variant_names())
@@ -95,7 +91,6 @@ def signals(
     kind   Only this kind: input, output or parameter; default: all.
     json   Print them as JSON.
     """
-    from orchestrator.base.files import require_system
     from orchestrator.ssp.load import configured
 
     if kind not in (None, *KINDS):

@@ -12,6 +12,7 @@ from typing import Annotated, Any, TypeAlias, get_args, get_type_hints
 import typer
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import SYSTEMS, find, require_system, tell_once
 from orchestrator.base.options import Declared, F, Kind, declarations, declared, option_texts, text_and_rows
 from orchestrator.engine.arguments import CaseArguments
 
@@ -163,7 +164,6 @@ def _value(name: str, option: Declared, value: Any) -> Any:
 
 def tell_built(system: Path, swapped: Mapping[str, str | Path]) -> None:
     """Print which file of parameters the FMUs of a system were built with, if they were."""
-    from orchestrator.base.files import require_system
     from orchestrator.ssp.load import configured
     from orchestrator.ssp.provenance import built_notes
 
@@ -176,8 +176,6 @@ def system_file(chosen: Path | None, name: str = SYSTEM.name) -> Path:
 
     If there is none, the path, which the caller then reports as missing.
     """
-    from orchestrator.base.files import SYSTEMS, find, tell_once
-
     found, other = find(chosen or BUILD / name, SYSTEMS), find(chosen or name, SYSTEMS)
     if found.exists() or not other.exists():
         return found

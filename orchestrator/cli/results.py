@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Unpack
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import write_whole
+from orchestrator.base.files import DEFAULT_SYSTEM, make_folder, write_whole
 from orchestrator.base.options import Kind, Patterns
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, Time, command, system_file
 from orchestrator.engine.arguments import DEFAULT_ACCURACY, CoupledArguments
@@ -46,7 +46,6 @@ def validate(
     out          Folder of run.csv and the report.
     """
     from fmus.package_files import data
-    from orchestrator.base.files import DEFAULT_SYSTEM
     from orchestrator.results.validate_system import Experiment, validate_system
 
     file = system_file(system)
@@ -94,7 +93,6 @@ def compare(
     stop      End of the time window [s]; default: end of the overlap.
     out       Folder of comparison.html and .json.
     """
-    from orchestrator.base.files import make_folder
     from orchestrator.results.comparison import compare as compare_traces
     from orchestrator.results.comparison_report import report
 
@@ -195,7 +193,6 @@ def _runs(files: list[Path] | None, out: Path | None) -> tuple[list[Path], list[
 
 def _drawn(figure: TraceFigure, picture: Path) -> Path:
     """Draw a figure in the format of the name of its file."""
-    from orchestrator.base.files import make_folder
     from orchestrator.pages.plotting import draw, pdf, png, svg
 
     make_folder(picture.parent)

@@ -6,6 +6,7 @@ from typing import Unpack
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
+from orchestrator.base.files import make_folder, require_system
 from orchestrator.cli.options import BUILD, File, Scenario, System, command, system_file
 from orchestrator.engine.arguments import (
     DEFAULT_ACCURACY,
@@ -55,7 +56,6 @@ def reference(
 
     out   File for the trace (.csv, .parquet, .mat).
     """
-    from orchestrator.base.files import make_folder
     from orchestrator.data.trace import check_suffix
     from orchestrator.monolithic.reference import reference as solve
 
@@ -85,7 +85,6 @@ def linearize(
                system.
     out        File for A, B, C, D (.npz); names and modes go to a .json of the same name.
     """
-    from orchestrator.base.files import make_folder, require_system
     from orchestrator.linear.linearize import linearize as run_linearize
 
     require("control", "harvester linearize", "scipy")

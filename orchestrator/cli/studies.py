@@ -191,13 +191,13 @@ def sweep(
         results = run(chosen, folder, watch=watch)
     table = results.table
     if no_report:
-        from orchestrator.studies.analysis.output_samples import counts, failures
-        from orchestrator.studies.report.study_page import causes
+        from orchestrator.studies.analysis.results import counts, failures
+        from orchestrator.studies.study_page import causes
 
         warnings = (f"warning: {w}" for w in results.warnings)
         print("\n".join([counts(results), *causes(failures(results)), *warnings]))
     else:
-        from orchestrator.studies.report import study_page
+        from orchestrator.studies import study_page
 
         print(study_page.write(folder, results).text())
     print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")

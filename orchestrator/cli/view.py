@@ -11,6 +11,7 @@ from typing import Annotated
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
+from orchestrator.base.files import require_system
 from orchestrator.base.options import Faults, Kind, Swaps, Values
 from orchestrator.cli import options
 from orchestrator.cli.options import BUILD, SYSTEM, File, Folder, System, Text, command, system_file
@@ -49,7 +50,6 @@ def view(
     results   Folder of the results that can be replayed, and of recorded sessions.
     """
     require("view", "harvester view")
-    from orchestrator.base.files import require_system
     from orchestrator.view.choice import MachineChoice
     from orchestrator.view.server import serve
 
@@ -108,7 +108,6 @@ def page(
     out     HTML file to write.
     title   Title of the page.
     """
-    from orchestrator.base.files import require_system
     from orchestrator.drive.page import write_page
 
     path = write_page(out, require_system(system_file(system)), title)

@@ -107,9 +107,7 @@ EXPERIMENT_LENGTH = 1.0  # [s], for the set-up of the FMUs; no result depends on
 
 @documented(LinearArguments)
 def linearize(
-    system: System | str | Path,
-    scenario: ScenarioSource = None,
-    **options: Unpack[LinearArguments],
+    system: System | str | Path, scenario: ScenarioSource = None, **options: Unpack[LinearArguments]
 ) -> LinearModel:
     """A, B, C, D of a system, from the directional derivatives of its FMUs in model exchange.
 

@@ -40,10 +40,7 @@ class LinearVariable(NamedTuple):
 
 
 def mode_name(
-    value: complex,
-    participation: Array,
-    labels: Sequence[str],
-    units: Sequence[DeclaredUnit | None],
+    value: complex, participation: Array, labels: Sequence[str], units: Sequence[DeclaredUnit | None]
 ) -> tuple[str, tuple[str, ...]]:
     """The name of a mode, and the names of its main states in descending order of participation."""
     totals = dict[str, float]()

@@ -279,8 +279,7 @@ def plot(figure: TraceFigure, name: str) -> Markup:
 
     name   what the figure shows, for readers who do not see it; the figure's title by default
 
-    Bars have no such table: their numbers are in the text. The page must have `plot_scripts`, see
-    `html_page.render`.
+    Bars have no such table: their numbers are in the text. The page must have `plot_scripts`.
     """
     name = figure.title or name
     folded = Markup("<details><summary>Extremes of {}</summary>{}</details>")

@@ -19,23 +19,21 @@ from orchestrator.pages.figures import TEMPLATES, plot_scripts
 QUANTITY = re.compile(r"(?<![\w.])(-?\d[\d.e+-]*) ([A-Za-z][\w./]*)")  # a number and its unit
 
 
-def render(template: Path, *, title: str, plots: bool = False, **content: object) -> str:
+def render(template: Path, *, title: str, **content: object) -> str:
     """Render a template that extends `page.html.j2`, with the CSS file of the same name if there is one.
 
     template   path of the template
-    plots      whether the page has figures of `orchestrator.pages.figures.plot`
     content    variables of the template, besides `title` and `style`
 
-    Templates can use the filter `sentence`.
+    Templates can use the filter `sentence`. A page with figures of `figures.plot` gets their scripts.
     """
     environment = jinja_environment(template.parent, TEMPLATES, escaped=True)
     environment.filters["sentence"] = sentence
     styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
     texts = (path.read_text(encoding="utf-8") for path in styles if path.is_file())
     style = Markup("\n".join(re.sub(r"^ +|/\*.*?\*/", "", text, flags=re.MULTILINE) for text in texts))
-    scripts = plot_scripts() if plots else ""
     page = environment.get_template(template.name)
-    return str(page.render(title=title, style=style, plots=scripts, **content))
+    return str(page.render(title=title, style=style, plot_scripts=plot_scripts, **content))
 
 
 def typeset_code(text: str) -> Markup:

@@ -7,8 +7,9 @@ reading NAME; a parameter NAME_reference is the size of the healthy machine.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from markupsafe import Markup
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, require, tell_once
-from orchestrator.base.text import DisplayUnit, TextTable, first_names, number
+from orchestrator.base.text import DisplayUnit, TextTable, first_names, grouped, number
 from orchestrator.data.corrections import hold_of, is_new, rate_faults
 from orchestrator.data.description import description_next_to
 from orchestrator.data.recording import read_recording
@@ -161,21 +162,16 @@ class Diagnosis:
     def blind(self) -> dict[str, list[Finding]]:
         """What cannot be told at the end of the recording, by repair; without what is broken."""
         broken = {f.repair for f in self.broken}
-        return self._by_repair(f for f in self.findings if f.state[-1] < 0 and f.repair not in broken)
+        unknown = (f for f in self.findings if f.state[-1] < 0 and f.repair not in broken)
+        return grouped(unknown, attrgetter("repair"))
 
     @property
     def sound(self) -> dict[str, list[Finding]]:
         """What has no fault at the end, as far as all that tells it can be told, by repair."""
-        known = self._by_repair(f for f in self.findings if not f.broken and f.state[-1] == 0)
+        healthy = (f for f in self.findings if not f.broken and f.state[-1] == 0)
+        known = grouped(healthy, attrgetter("repair"))
         broken = {f.repair for f in self.broken}
         return {n: some for n, some in known.items() if n not in broken and n not in self.blind}
-
-    @staticmethod
-    def _by_repair(findings: Iterable[Finding]) -> dict[str, list[Finding]]:
-        found = dict[str, list[Finding]]()
-        for f in findings:
-            found.setdefault(f.repair, []).append(f)
-        return found
 
     @property
     def shortness(self) -> str:
@@ -343,6 +339,34 @@ def _examined(
     source   of the readings, for messages
     """
     (component,) = system.components.values()
+    variables, found = component.interface.variables, list[tuple[str, str, str, str]]()
+    trace, values, remarks = _checked(component, trace, source)
+    for f in findings_in(system)[0]:
+        name = f.signals[0].partition(".")[2]
+        found += [(name, f.text, variables[name].unit_name or "1", f.repair)] if f.repair else []
+    if not found:
+        raise Problem(f"{component.source}: expected outputs NAME, NAME_deviation and NAME_state, found none")
+    outputs = [n for n, v in variables.items() if v.causality == "output"]
+    start, stop = float(trace.time[0]), float(trace.time[-1])
+    record_step = STEP * max(1, math.ceil((stop - start) / STEP / ROWS))
+    times: dict[str, Any] = {"start": start, "stop": stop, "step": STEP, "record_step": record_step}
+    result = run(system, trace, record=outputs, parameters=parameters, set=values | dict(set), **times)
+    time, (component,), findings = np.asarray(result.time), result.system.components.values(), []
+    for one in found:
+        size, off, state = (np.asarray(result[f"{one[0]}{end}"]) for end in ("", "_deviation", "_state"))
+        reference = f"{one[0]}{REFERENCE}"
+        healthy = float(component.value(reference)) if reference in variables else 0.0
+        findings.append(Finding(*one, time, size, off, state, healthy))
+    remarks += [w for w in result.system.warnings if "did you mean" in w and REFERENCE not in w]
+    name, valves = Path(source).name, {f.repair for f in findings if "_gain_" in f.name}
+    if len(valves) > 1 and valves <= {f.repair for f in findings if f.broken}:
+        text = "the valves of all functions differ from those of the healthy machine"
+        remarks.append(f"{name}: {text}; is it a recording of another one? --learn makes the values of each")
+    return Diagnosis(name, findings, result, remarks, trace)
+
+
+def _checked(component: Component, trace: Trace, source: str) -> tuple[Trace, dict[str, float], list[str]]:
+    """Readings that the FMU can use, values of its parameters for them, and lines about what was found."""
     if len(trace.time) < 2:
         raise Problem(f"{source}: expected two or more rows of numbers, got 1")
     steps = np.diff(trace.time)
@@ -369,7 +393,7 @@ def _examined(
         if (name := f"{kind}_resolution") in component.interface.variables:
             own = [r for n, r in resolutions.items() if units[n] == unit]
             values[f"{component.name}.{name}"] = max([float(component.value(name)), *own])
-    return _run(system, trace, Path(source).name, parameters, values | dict(set), remarks)
+    return trace, values, remarks
 
 
 def _resolution(values: Array) -> float:
@@ -437,49 +461,6 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
         off = gaps | splices
         signals["gap"] = (np.append(off, False) | np.insert(off, 0, False)).astype(np.float64)
     return Trace(trace.time, signals, trace.units), held * float(np.median(steps)), remarks
-
-
-def _run(
-    system: System,
-    trace: Trace,
-    source: str,
-    parameters: Sequence[Path],
-    set: Mapping[str, float],
-    remarks: Sequence[str],
-) -> Diagnosis:
-    (component,) = system.components.values()
-    variables, found = component.interface.variables, list[tuple[str, str, str, str]]()
-    for f in findings_in(system)[0]:
-        name = f.signals[0].partition(".")[2]
-        found += [(name, f.text, variables[name].unit_name or "1", f.repair)] if f.repair else []
-    if not found:
-        raise Problem(f"{component.source}: expected outputs NAME, NAME_deviation and NAME_state, found none")
-    outputs = [n for n, v in variables.items() if v.causality == "output"]
-    start, stop = float(trace.time[0]), float(trace.time[-1])
-    record_step = STEP * max(1, math.ceil((stop - start) / STEP / ROWS))
-    result = run(
-        system,
-        trace,
-        record=outputs,
-        start=start,
-        stop=stop,
-        step=STEP,
-        record_step=record_step,
-        parameters=parameters,
-        set=set,
-    )
-    time, (component,), findings = np.asarray(result.time), result.system.components.values(), []
-    for one in found:
-        size, off, state = (np.asarray(result[f"{one[0]}{end}"]) for end in ("", "_deviation", "_state"))
-        reference = f"{one[0]}{REFERENCE}"
-        healthy = float(component.value(reference)) if reference in variables else 0.0
-        findings.append(Finding(*one, time, size, off, state, healthy))
-    doubts = [w for w in result.system.warnings if "did you mean" in w and REFERENCE not in w]
-    valves = {f.repair for f in findings if "_gain_" in f.name}
-    if len(valves) > 1 and valves <= {f.repair for f in findings if f.broken}:
-        text = "the valves of all functions differ from those of the healthy machine"
-        doubts.append(f"{source}: {text}; is it a recording of another one? --learn makes the values of each")
-    return Diagnosis(source, findings, result, [*remarks, *doubts], trace)
 
 
 def _without(component: Component, trace: Trace, source: str) -> tuple[list[str], list[str]]:

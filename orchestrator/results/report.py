@@ -10,7 +10,7 @@ The JSON of every command has `title`, `verdict` and `passed` (null: not judged)
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -223,9 +223,8 @@ class Report:
         above = [part for part in shown if not isinstance(part, Section) and part not in first]
         good, bad = self.states
         state = {True: ("pass", f"✓ {good}"), False: ("fail", f"✗ {bad}"), None: ("", "")}[self.passed]
-        plots = any(isinstance(p.figure, TraceFigure) for p in _every(shown) if isinstance(p, Figure))
         content = {"report": self, "above": above, "first": first, "sections": sections, "state": state}
-        return html_page.render(TEMPLATE, title=self.title, plots=plots, **content)
+        return html_page.render(TEMPLATE, title=self.title, **content)
 
     def values(self) -> dict[str, Any]:
         """The report for programs."""
@@ -236,16 +235,7 @@ class Report:
         values = html_page.json_values(self.values())
         return json.dumps(values, indent=1, allow_nan=False, ensure_ascii=False)
 
-    def write(self, page: Path) -> tuple[Path, Path]:
-        """Write the page, and the JSON of the same name; returns both."""
+    def write(self, page: Path, numbers: Path | None = None) -> tuple[Path, Path]:
+        """Write the page, and the JSON, by default of the same name; returns both."""
         write_whole(page, self.html())
-        return page, write_whole(page.with_suffix(".json"), self.json() + "\n")
-
-
-def _every(parts: Sequence[Part]) -> Iterator[Part]:
-    for part in parts:
-        yield part
-        if isinstance(part, Section):
-            yield from _every(part.parts)
-        elif isinstance(part, Columns):
-            yield from _every(part.figures)
+        return page, write_whole(numbers or page.with_suffix(".json"), self.json() + "\n")

@@ -30,28 +30,11 @@ from orchestrator.base.text import (
 )
 from orchestrator.base.units import in_reader_unit, pretty, reader_unit
 from orchestrator.data.trace import Trace
-from orchestrator.pages.figures import (
-    PALETTE,
-    REFERENCE,
-    SIMULATION,
-    TraceFigure,
-    TraceLine,
-    TracePanel,
-)
+from orchestrator.pages.figures import PALETTE, REFERENCE, SIMULATION, TraceFigure, TraceLine, TracePanel
 from orchestrator.pages.html_page import breakable, upper_first
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.metrics import GIVEN
-from orchestrator.results.report import (
-    TERMINAL,
-    Facts,
-    Figure,
-    Machine,
-    Part,
-    Report,
-    Section,
-    Table,
-    Text,
-)
+from orchestrator.results.report import TERMINAL, Facts, Figure, Machine, Part, Report, Section, Table, Text
 from orchestrator.results.validation import ValidatedSignal, Validation
 
 NAMES = {

@@ -3,7 +3,7 @@
     study, cases, design     a parameter study as data, resolved against its systems, and its samples
     runs, store              the runs and what is stored of them; the folder with the results
     parameter_study          `harvester sweep`
-    analysis, report         statistics and sensitivities of its results, and their page
+    analysis, study_page     statistics and sensitivities of its results, and their page
     convergence              `harvester convergence`: error of each master over the communication step
     variant_costs            `harvester variants`: cost of each variant
 

@@ -14,7 +14,6 @@ from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import find
-from orchestrator.base.toml import quote_key
 from orchestrator.base.units import factor_and_offset
 from orchestrator.data.table import READABLE
 from orchestrator.data.trace import rounding
@@ -218,7 +217,7 @@ def _output(systems: Sequence[System], output: Output) -> Output:
         try:
             port = signal(system, name)
         except Problem as problem:
-            raise Problem(f"outputs.{quote_key(output.name)}: signal: {problem}") from None
+            raise Problem(f"{output.key}: signal: {problem}") from None
         of = system.outputs[name].unit if name in system.outputs else system.variable(port).unit
         units.add(of.name if of else "")
     common = units.pop() if len(units) == 1 else ""
@@ -300,7 +299,7 @@ def _check_windows(study: Study, times: Sequence[Grid]) -> None:
     # A run ends at the communication point next to its stop time.
     last = max(end + margin, study.stop or end)
     for output in study.outputs:
-        where = f"outputs.{quote_key(output.name)}"
+        where = output.key
         if output.start is not None and output.start > end + margin:
             raise Problem(f"{where}: start: expected at most {end:g} s, got {output.start:g} s")
         if output.stop is not None and output.stop < begin - margin:

@@ -8,7 +8,7 @@
     bands.parquet  signals stored over time, for the bands of the report: run, time [s], a column per signal
     runs.parquet   one row per run: run, status, reason, energy_error (largest energy error of the coupling,
                    over the energy that its bond exchanged), then the columns that `study` lists
-    report.html, analysis.json   the analysis, written by orchestrator/studies/report
+    report.html, analysis.json   the analysis, written by orchestrator/studies/study_page.py
 
 Each file is written completely or not at all. The results are written after the last run, and do not depend
 on how often the study was started.
@@ -175,12 +175,10 @@ class Store:
         """Store the outcomes of a batch."""
         self._parts.mkdir(exist_ok=True)
         batch = sorted(batch, key=lambda r: r.run)
-        kinds = {"run": pa.int64(), "status": pa.string(), "reason": pa.string()}
-        columns = {name: pa.array([getattr(r, name) for r in batch], kind) for name, kind in kinds.items()}
+        names = ("run", "status", "reason", "energy_error", "start")
+        columns = {name: pa.array([getattr(r, name) for r in batch]) for name in names}
         for i, output in enumerate(self.study.outputs):
-            columns[output.column] = pa.array([float(r.outputs[i]) for r in batch], pa.float64())
-        columns["energy_error"] = pa.array([r.energy_error for r in batch], pa.float64())
-        columns["start"] = pa.array([r.start for r in batch], pa.float64())
+            columns[output.column] = pa.array([float(r.outputs[i]) for r in batch])
         for i, name in enumerate(self.study.bands):
             lists = [np.empty(0) if r.bands is None else r.bands[i] for r in batch]
             columns[f"{BAND}{name}"] = pa.array(lists, pa.list_(pa.float64()))

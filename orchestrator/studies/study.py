@@ -122,7 +122,7 @@ class Choice:
     """A scenario, a parameter set or a variant of a component that differs from run to run.
 
     name     "scenario", "parameters", or the name of a component
-    options  files or names; each is run with every sample of the factors
+    options  files or names, or one of them; each is run with every sample of the factors
     sampled  the choice is a dimension of the samples instead; all options have the same probability
     """
 
@@ -132,7 +132,7 @@ class Choice:
     kind: ClassVar[str] = "choice"
 
     def __post_init__(self) -> None:
-        options = tuple(self.options)
+        options = (self.options,) if isinstance(self.options, str) else tuple(self.options)
         if not options or "" in options or len(set(options)) < len(options):
             expected = "a text or a list of different texts"
             raise Problem(f"choices: {self.name}: expected {expected}, got {[*options]}")
@@ -153,7 +153,7 @@ def short(option: str) -> str:
 class Output:
     """One value per run: a measure of a signal over a time window [s].
 
-    start, stop  default: from the beginning, to the end of the run
+    start, stop  a number, or a text such as "500ms"; default: from the beginning, to the end of the run
     band         the signal is stored over time, too
     unit         unit of the value; follows from `signal_unit`, the unit in the FMU
     """
@@ -166,6 +166,15 @@ class Output:
     band: bool = False
     unit: str = ""
     signal_unit: str = ""
+
+    def __post_init__(self) -> None:
+        for end in ("start", "stop"):
+            object.__setattr__(self, end, seconds(getattr(self, end), f"{self.key}: {end}"))
+
+    @property
+    def key(self) -> str:
+        """The table in the TOML file of a study."""
+        return f"outputs.{quote_key(self.name)}"
 
     @property
     def column(self) -> str:
@@ -293,13 +302,12 @@ class Study:
                 got = f"got {factor.distribution!r}"
                 raise Problem(f"{factor.key}: distribution: expected values, as the method is grid, {got}")
         for output in self.outputs:
-            where = f"outputs.{quote_key(output.name)}"
             if output.measure not in MEASURES:
                 expected = f"expected one of {', '.join(MEASURES)}"
-                raise Problem(f"{where}: measure: {expected}, got {output.measure!r}")
+                raise Problem(f"{output.key}: measure: {expected}, got {output.measure!r}")
             if output.start is not None and output.stop is not None and not output.start <= output.stop:
                 expected = f"at least the start {output.start:g} s"
-                raise Problem(f"{where}: stop: expected {expected}, got {output.stop:g} s")
+                raise Problem(f"{output.key}: stop: expected {expected}, got {output.stop:g} s")
         if self.count > MOST_RUNS:
             raise Problem(f"expected at most {MOST_RUNS:,} runs, got {self.count:,}")
 
@@ -394,21 +402,17 @@ def read(file: str | Path) -> Study:
     own = {name: value for name, value in table.data.items() if name not in OF_STUDY}
     found = toml.read_dataclass(_File, Table(table.where, own))
     with Study(source=str(path)).located():
-        study = Study(
-            title=found.title or path.stem,
-            system=found.system,
-            method=found.method,
-            runs=found.runs,
-            seed=found.seed,
-            **{name: table.data[name] for name in (*RUN, "band_step") if name in table.data},
-            options={name: table.data[name] for name in OPTIONS if name in table.data},
-            factors=tuple(_factor(name, factor) for name, factor in found.factors.items()),
-            choices=tuple(_choice(name, choice) for name, choice in found.choices.items()),
-            outputs=tuple(_output(name, output) for name, output in found.outputs.items()),
-            fixed={name: _start(name, value) for name, value in found.fixed.items()},
-            folder=str(path.parent),
-            source=str(path),
-        )
+        given = {name: table.data[name] for name in (*RUN, "band_step") if name in table.data}
+        choices = {n: c if isinstance(c, _Choice) else _Choice(c) for n, c in found.choices.items()}
+        made = {
+            "title": found.title or path.stem,
+            "options": {name: table.data[name] for name in OPTIONS if name in table.data},
+            "factors": [_factor(name, factor) for name, factor in found.factors.items()],
+            "choices": [Choice(name, **vars(choice)) for name, choice in choices.items()],
+            "outputs": [Output(name, **vars(output)) for name, output in found.outputs.items()],
+            "fixed": {name: _start(name, value) for name, value in found.fixed.items()},
+        }
+        study = Study(**{**vars(found), **given, **made}, folder=str(path.parent), source=str(path))
         study.check()
     return study
 
@@ -423,18 +427,6 @@ def _factor(name: str, found: _Factor) -> Factor:
         expected = "expected none, as the numbers are relative"
         raise Problem(f"{factor.key}: unit: {expected}, got {factor.unit!r}")
     return factor
-
-
-def _choice(name: str, found: str | tuple[str, ...] | _Choice) -> Choice:
-    choice = found if isinstance(found, _Choice) else _Choice(found)
-    options = (choice.options,) if isinstance(choice.options, str) else choice.options
-    return Choice(name, options, choice.sampled)
-
-
-def _output(name: str, found: _Output) -> Output:
-    where = f"outputs.{quote_key(name)}"
-    start, stop = (seconds(getattr(found, end), f"{where}: {end}") for end in ("start", "stop"))
-    return Output(name, found.signal, found.measure, start, stop, found.band)
 
 
 def _start(name: str, value: float | str | _Fixed) -> float | tuple[float, str]:

@@ -37,7 +37,7 @@ from orchestrator.studies.convergence.convergence_study import (
     as_reference,
     choose,
 )
-from orchestrator.studies.report.study_page import study_report
+from orchestrator.studies.study_page import study_report
 
 pytestmark = shards.browser
 

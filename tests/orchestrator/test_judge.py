@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kit.mistakes import problem
 
 from orchestrator import System, Trace, assemble, load, run
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
-from orchestrator.results.layout import FigureSpec, Layout, PanelSpec
+from orchestrator.results.layout import Layout
 from orchestrator.results.validate_system import describe, judge, parameters
 
 PROVENANCE = '[parameters.factor]\nvalue = 1.0\nunit = "1"\nsource = "assumed"\nnote = "a free choice"\n'
@@ -32,11 +31,11 @@ def reference() -> Recording:
     return Recording(t, {"gain.y": 8e3 * t}, {"gain.y": "mm"}, Path("ref.csv"), **known)
 
 
-def judged(fmu, ramp, reference, out, layout=None, factor=2.0):
+def judged(fmu, ramp, reference, out, factor=2.0):
     """Run the gain and judge it; returns the validation and the report's data."""
     result = run(str(fmu), ramp, step=0.1, set={"gain.factor": factor})
     facts = {"system": "gain.fmu", "steps asked for": 10}
-    validation, _, html, data = judge(result, reference, layout or Layout(), out, facts)
+    validation, _, html, data = judge(result, reference, Layout(), out, facts)
     assert html.read_text(encoding="utf-8").startswith("<!")
     return validation, json.loads(data.read_text(encoding="utf-8"))
 
@@ -90,19 +89,6 @@ def test_the_machine_is_described_by_its_files(system):
         assert told["version"] == version("harvester-cosim")
         assert told["tool"].startswith("harvester-cosim ")
         assert told["text"]
-
-
-def test_a_layout_gives_title_and_figures(fmus, ramp, reference, tmp_path):
-    """Instead of the defaults, one figure per signal; a layout for another system is told."""
-    figures = (FigureSpec("Both", (PanelSpec("In", ("gain.u",)), PanelSpec("Out", ("gain.y",)))),)
-    layout = Layout(title="My gain", figures=figures)
-    _, data = judged(fmus["gain"], ramp, reference, tmp_path, layout)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert data["title"] == "My gain"
-    assert "Both" in page
-    other = Layout(figures=(FigureSpec("F", (PanelSpec("a", ("gain.z",)),)),), source="my.toml")
-    message = problem(lambda: judged(fmus["gain"], ramp, reference, tmp_path, other))
-    assert message.startswith("my.toml: figure 'F': no signal gain.z in the run")
 
 
 def test_a_system_in_memory_can_be_judged(fmus, reference, tmp_path):

@@ -13,9 +13,9 @@ from sweep.synthetic import ISHIGAMI, Columns, every, ishigami, results, uniform
 
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import Analysis
-from orchestrator.studies.report.study_page import NUMBERS, PAGE, write
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor
+from orchestrator.studies.study_page import NUMBERS, PAGE, write
 
 TWO = Choice("swing", ("lumped", "detailed"))
 MANY = Choice("pose", ("near", "nominal", "reach", "raised"))

@@ -4,14 +4,16 @@ from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
+import pandas as pd
 import pytest
-from sweep.pages import SINGLE, TWO
+from SALib.analyze import morris, sobol
+from sweep.pages import MANY, SINGLE, TWO
 from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, ishigami_indices, results, uniform
 
 from orchestrator.studies import design
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.morris_sobol import RESAMPLES, intervals
-from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, IntervalEstimate
+from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, IntervalEstimate, samples
+from orchestrator.studies.analysis.sensitivity import RESAMPLES, intervals
 from orchestrator.studies.study import Choice, Factor
 
 LINEAR = {"x1": 4.0, "x2": -2.0, "x3": 1.0, "x4": 0.0}
@@ -107,6 +109,74 @@ def test_lost_base_samples_leave_the_indices_true() -> None:
     assert abs(effects(found)["x2"].estimates[FIRST].value - ishigami_indices()["x2"][0]) < 0.1
 
 
+def mixed(x):
+    """Not linear, with interactions, also between factors and the options of choices."""
+    y = np.sin(3 * x["x1"]) + x["x1"] * x["x2"] + 0.2 * x["x3"] ** 2
+    for choice in (TWO, MANY):
+        if choice.name in x:
+            index = np.array([choice.options.index(option) for option in x[choice.name]])
+            y = y * (1 + 0.3 * index) + 0.5 * index
+    return y
+
+
+FAILURES = (lambda table: np.zeros(len(table), bool), every(211, 3))
+SALIB = pytest.mark.parametrize(
+    ("choices", "failed"),
+    [
+        ((), FAILURES[0]),
+        ((), FAILURES[1]),
+        ((TWO,), FAILURES[1]),
+        ((MANY, TWO), FAILURES[0]),
+        ((replace(MANY, sampled=True), TWO), FAILURES[1]),
+    ],
+    ids=["plain", "runs failed", "crossed", "two crossed", "sampled and crossed"],
+)
+
+
+@SALIB
+def test_indices_are_those_of_salib(choices, failed):
+    """S of the mean over the combinations, T of each, both as fractions of the variance over all."""
+    found = results(mixed, UNIT[:3], "saltelli", 64, choices, failed)
+    data = samples(found, found.study.outputs[0])
+    k = len(data.names)
+    y = data.blocks(k + 2)[0].y
+    ends = y.reshape(-1, k + 2, y.shape[1])[:, [0, -1]]  # A and B, of whose values SALib takes the variance
+
+    def salib(values, key):
+        settings = {"calc_second_order": False, "num_resamples": 2, "seed": 1}
+        return np.array(sobol.analyze(design.problem(data.names), values, **settings)[key])
+
+    # SALib's are fractions of the variance of the values that it is given, ours of that over all combinations
+    of_mean = ends.mean(axis=2).var() / ends.var()
+    first = of_mean * salib(y.mean(axis=1), "S1")
+    parts = [ends[:, :, j].var() / ends.var() * salib(y[:, j], "ST") for j in range(y.shape[1])]
+    ours = effects(finding(found))
+    for i, name in enumerate(data.names):
+        # the same sums in another order: rounding only
+        assert ours[name].estimates[FIRST].value == pytest.approx(first[i], rel=1e-9, abs=1e-12)
+        assert ours[name].estimates[TOTAL].value == pytest.approx(np.mean(parts, axis=0)[i], rel=1e-9)
+
+
+@SALIB
+def test_elementary_effects_are_those_of_salib(choices, failed):
+    """Also of an unbounded factor: means over the combinations of choices, and sigma of all effects."""
+    factors = (*UNIT[:2], Factor("x3", "lognormal", {"mean": 1.0, "sd": 0.3}, unit="m"))
+    found = results(mixed, factors, "morris", 16, choices, failed)
+    data = samples(found, found.study.outputs[0])
+    of = data.blocks(len(data.names) + 1)[0]
+    settings = {"num_levels": design.LEVELS, "num_resamples": 2, "seed": 1}
+    each = [morris.analyze(design.problem(of.names), of.x, y, **settings) for y in of.y.T]
+    star, mu, sigma = (np.array([one[key] for one in each], float) for key in ("mu_star", "mu", "sigma"))
+    within, between = (sigma**2).mean(axis=0), mu.var(axis=0)
+    ours = effects(finding(found))
+    for i, name in enumerate(of.names):
+        effect = ours[name]
+        # the same sums in another order: rounding only, of effects of the size of 1
+        assert effect.estimates[MU_STAR].value == pytest.approx(star.mean(axis=0)[i], rel=1e-9)
+        assert effect.more["mu"] == pytest.approx(mu.mean(axis=0)[i], rel=1e-9, abs=1e-12)
+        assert effect.more["sigma"] == pytest.approx(np.sqrt(within + between)[i], rel=1e-9, abs=1e-12)
+
+
 @pytest.mark.parametrize("crossed", [(), (TWO,)])
 def test_morris_gives_the_coefficients_of_a_linear_function(crossed: tuple[Choice, ...]) -> None:
     """mu* is the weight times the range, sigma is zero, mu has the sign, a crossed choice its difference."""
@@ -131,6 +201,21 @@ def test_a_grid_has_its_analysis_of_variance() -> None:
     # exact identities: rounding only
     assert found["a"].estimates[FIRST].value == pytest.approx(y.mean(axis=1).var() / y.var(), rel=1e-12)
     assert found["b"].estimates[TOTAL].value == pytest.approx(y.var(axis=1).mean() / y.var(), rel=1e-12)
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_tables_of_two_grids_are_one_grid(order):
+    """Each computer had some values of one factor: put together, all numbers are those of the whole."""
+    halves = [Factor("x2", "values", {"values": values}, unit="m") for values in ((0.5, 2.0), (1.0,))]
+    parts = [results(bent, (GRID[0], half), "grid", 0, [TWO]) for half in halves]
+    table = pd.concat([parts[i].table for i in order], ignore_index=True)
+    table["run"] = table.index
+    both, expected = map(finding, (replace(parts[0], table=table), results(bent, GRID, "grid", 0, [TWO])))
+    assert both.sensitivity.samples == expected.sensitivity.samples
+    for name, effect in effects(expected).items():
+        for key, estimate in effect.estimates.items():
+            # exact identity but for the order of sums
+            assert effects(both)[name].estimates[key].value == pytest.approx(estimate.value, rel=1e-12)
 
 
 # without another choice where the groups of options make an analysis long

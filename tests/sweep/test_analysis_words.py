@@ -8,8 +8,7 @@ from kit import shards
 from sweep.pages import TWO
 from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, ishigami_indices, results, uniform
 
-from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.analysis_text import sentences
+from orchestrator.studies.analysis.analyse import analyse, sentences
 from orchestrator.studies.analysis.results import FIRST, REGRESSION
 
 UNIT = tuple(uniform(name, 0.0, 1.0) for name in ("x1", "x2", "x3"))

@@ -2,22 +2,18 @@
 
 import json
 import re
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from kit import shards
 from sweep.pages import CASES, TWO, UNIT, shown, written
 from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, results
 
 from orchestrator.base.text import display_unit
 from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, plot
 from orchestrator.pages.plotting import draw
-from orchestrator.studies.analysis.analysis_text import sentences
-from orchestrator.studies.report.study_figures import bands, histogram, medians, tornado
-from orchestrator.studies.report.study_page import _dots
+from orchestrator.studies.analysis.analyse import sentences
 from orchestrator.studies.study import Choice
+from orchestrator.studies.study_page import _dots, bands, histogram, medians, tornado
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -83,26 +79,6 @@ def test_the_line_of_a_scatter_is_the_median_in_bins() -> None:
     assert medians(x, 10 * x)[1].tolist() == [10.0, 20.0, 30.0]
     many = np.linspace(0, 1, 240)
     assert medians(many, many)[1] == pytest.approx((np.arange(12) + 0.5) / 12, abs=1 / 240)  # one sample
-
-
-@shards.browser
-def test_a_browser_shows_the_page_without_any_request(tmp_path: Path, chromium: Any) -> None:
-    """In Chromium: nothing is asked from anywhere, no error, and nothing is wider than a narrow window."""
-    file = tmp_path / "report.html"
-    file.write_text(shown("failed runs").page, encoding="utf-8")
-    asked: list[str] = []
-    page = chromium.new_page(viewport={"width": 700, "height": 800})
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("pageerror", lambda error: asked.append(str(error)))
-    page.goto(file.as_uri())
-    width = page.evaluate("document.documentElement.scrollWidth")
-    page.wait_for_selector(".figures .plot.drawn >> nth=3")
-    figures = page.evaluate("[...document.querySelectorAll('.figures canvas')].map(s => s.clientHeight)")
-    page.close()
-    assert [url for url in asked if not url.startswith("data:")] == [file.as_uri()]
-    assert width <= 700
-    assert len(figures) == 4  # sensitivities, distribution, dots over two factors
-    assert min(figures) > 80
 
 
 @pytest.mark.parametrize("choice", [None, TWO])

@@ -185,6 +185,16 @@ def test_mistakes_name_the_study(in_python, changed, expected):
     assert expected in line
 
 
+def test_an_output_takes_times_with_units_and_a_choice_one_text():
+    """As in a file; another unit is told when the output is made."""
+    output = Output("end", "gain.y", "final", "100ms", 2)
+    assert output == Output("end", "gain.y", "final", 0.1, 2.0)
+    assert Choice("gain", "bent.fmu") == Choice("gain", ("bent.fmu",))
+    line = problem(lambda: Output("end", "gain.y", "final", stop="1 bar"))
+    expected = "expected a number of seconds or a time such as 500ms or 5min, got '1 bar'"
+    assert line == f"outputs.end: stop: {expected}"
+
+
 @table(__file__, "factors", "distribution, numbers, expected")
 def test_a_factor_refuses_impossible_numbers(distribution, numbers, expected):
     """When it is made."""

@@ -8,8 +8,8 @@ import pytest
 from kit import shards
 from sweep.studies import resolved, run
 
+from orchestrator.studies import study_page
 from orchestrator.studies.cases import resolve
-from orchestrator.studies.report import study_page
 from orchestrator.studies.study import read
 
 DOCS = Path(__file__).parents[2] / "docs" / "sweep.md"

@@ -12,11 +12,11 @@ from sweep.synthetic import ISHIGAMI, ishigami, results
 
 from orchestrator.lanes.group import Status
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.output_samples import without_numbers
+from orchestrator.studies.analysis.results import without_numbers
 from orchestrator.studies.parameter_study import progress
-from orchestrator.studies.report.study_page import study_report
 from orchestrator.studies.runs import RunOutcome
 from orchestrator.studies.store import Results
+from orchestrator.studies.study_page import study_report
 
 RATE = r"[0-9.]+ runs/s, \d+ s left"
 _failed = partial(results, ishigami, ISHIGAMI, "latin", 40)

@@ -8,10 +8,8 @@ from sweep.pages import UNIT, shown
 from sweep.synthetic import finding, results, uniform
 
 from orchestrator.base.text import display_unit
-from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.analysis_text import sentences
-from orchestrator.studies.report.study_figures import scatter
-from orchestrator.studies.report.study_page import distribution_text, study_report
+from orchestrator.studies.analysis.analyse import analyse, sentences
+from orchestrator.studies.study_page import distribution_text, scatter, study_report
 
 
 @table(__file__, "units", "unit, largest, shown, scale")

@@ -1,4 +1,7 @@
-"""Analysis of a study: distribution and sensitivity of each output, and reasons for failed runs."""
+"""Analysis of a study: distribution and sensitivity of each output, reasons for failed runs.
+
+The sentences about them claim only what the intervals support.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,28 @@ import numpy as np
 from scipy.stats import mannwhitneyu
 
 from orchestrator.base.signals import moves
+from orchestrator.base.text import DisplayUnit, join_words
 from orchestrator.data.table import Array
 from orchestrator.lanes.group import Status
-from orchestrator.studies.analysis import morris_sobol, sensitivity
-from orchestrator.studies.analysis.output_samples import OutputSamples, done, failures, samples
-from orchestrator.studies.analysis.results import Analysis, OutputAnalysis, Sensitivity, Spread
+from orchestrator.studies.analysis import sensitivity
+from orchestrator.studies.analysis.results import (
+    FIRST,
+    MU_STAR,
+    REGRESSION,
+    TOTAL,
+    Analysis,
+    Effect,
+    IntervalEstimate,
+    OutputAnalysis,
+    OutputSamples,
+    Sensitivity,
+    Spread,
+    done,
+    failures,
+    samples,
+)
 from orchestrator.studies.store import Results
-from orchestrator.studies.study import START, Output, Study
+from orchestrator.studies.study import MEASURES, START, Output, Study, short
 
 FEWEST_RUNS = 5  # fewest failed, and fewest completed, runs for a test of what makes runs fail
 SIGNIFICANCE = 0.01  # probability of a false alarm over all factors together (Bonferroni)
@@ -112,7 +130,7 @@ def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:
     if study.method == "grid":
         result = sensitivity.main_effects(data)
     elif study.method == "morris":
-        result = morris_sobol.elementary_effects(data)
+        result = sensitivity.elementary_effects(data)
     elif study.method == "saltelli":
         result = _from_saltelli(data)
     else:
@@ -129,11 +147,11 @@ def _from_saltelli(data: OutputSamples) -> Sensitivity | str:
     width = len(data.names) + 2  # rows of a base sample: A, B and one for each factor
     design, count = data.blocks(width)
     complete = len(design.y) // width
-    if complete >= max(morris_sobol.LEAST_BASE_SAMPLES, (1 - morris_sobol.MOST_MISSING) * count):
-        return morris_sobol.sobol_indices(design, count)
+    if complete >= max(sensitivity.LEAST_BASE_SAMPLES, (1 - sensitivity.MOST_MISSING) * count):
+        return sensitivity.sobol_indices(design, count)
     size = f"only {complete} of {count} base samples are complete"
     size = size if complete < count else f"{count} base samples"
-    result = sensitivity.from_sample(morris_sobol.independent(data))
+    result = sensitivity.from_sample(sensitivity.independent(data))
     if isinstance(result, str):
         return f"{size}, too few for a Saltelli design; {result}"
     note = (
@@ -141,3 +159,119 @@ def _from_saltelli(data: OutputSamples) -> Sensitivity | str:
         " independent of each other"
     )
     return replace(result, notes=(note, *result.notes))
+
+
+MEASURE_NAMES = {name: name for name in MEASURES} | {
+    "rms": "root mean square",
+    "final": "final value",
+    "time_of_maximum": "time of the maximum",
+}
+FRACTIONS = {FIRST: "of its variance by itself", TOTAL: "of its variance", REGRESSION: "of its variance"}
+NOTICEABLE = 0.05  # fraction of the variance, or of the largest mu*, from which a factor is mentioned
+INTERACTION = 0.1  # fraction of the variance from which interactions are mentioned
+CLEAR = 0.3  # rank correlation from which a direction is mentioned
+MOST_LEADERS = 3  # with more factors that cannot be distinguished from the first none stands out
+
+
+def output_description(analysed: OutputAnalysis) -> str:
+    """Description of an output, such as `maximum of swing.swing_pressure_a from 1 to 3 s`."""
+    start, stop = analysed.window
+    window = ""
+    if start is not None or stop is not None:
+        window = f" from {start or 0:g} s" + (f" to {stop:g} s" if stop is not None else " on")
+    return f"{MEASURE_NAMES[analysed.measure]} of {analysed.signal}{window}"
+
+
+def sentences(analysed: OutputAnalysis) -> list[str]:
+    """Sentences about an output; the first one answers which factors affect it most."""
+    if analysed.spread is None:
+        return [f"No run has {analysed.name}."]
+    spread, text = analysed.spread, analysed.display.text
+    median = text(spread.median)
+    if analysed.constant:
+        return [f"{analysed.name} is {median} in all {spread.runs} runs: no factor has an effect on it."]
+    ends = f"{text(spread.low)} and {text(spread.high)}"
+    distribution = f"Nine of ten runs lie between {ends}; the median is {median}."
+    if analysed.sensitivity is None:
+        notes = "; ".join(analysed.notes)
+        return [f"The sensitivities of {analysed.name} cannot be estimated: {notes}.", distribution]
+    return [*_answer(analysed, analysed.sensitivity), distribution]
+
+
+def _answer(analysed: OutputAnalysis, sensitivity: Sensitivity) -> list[str]:
+    if not sensitivity.reliable:
+        fit = 100 * sensitivity.quality.get("r_squared", 0.0)
+        return [
+            f"The largest effect on {analysed.name} cannot be found from {sensitivity.samples} samples: a"
+            f" linear model explains {fit:.0f} % of its variance."
+        ]
+    effects, measure = sensitivity.effects, sensitivity.measure
+    if len(effects) == 1:
+        return [f"{effects[0].label} is the only factor that was varied{_direction(analysed, effects[0])}."]
+    # the largest effect, and those whose intervals overlap with its interval
+    floor = effects[0].estimates[measure].floor
+    leaders = [e for e in effects if e.estimates[measure].ceiling >= floor]
+    answer = [_first(analysed, effects, leaders, measure)]
+    least = NOTICEABLE * (effects[0].estimates[measure].value if measure == MU_STAR else 1.0)
+    smaller = [e for e in effects if e not in leaders and e.estimates[measure].floor > 0]
+    followers = [e for e in smaller if e.estimates[measure].value >= least]
+    if followers and len(leaders) <= MOST_LEADERS:
+        sizes = [f"{e.label} {size(e.estimates[measure], measure, analysed.display)}" for e in followers[:4]]
+        answer.append(f"Next: {', '.join(sizes)}.")
+    interaction = _interaction(sensitivity)
+    return [*answer, interaction] if interaction else answer
+
+
+def _first(analysed: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> str:
+    """Sentence about the leading factors, or about their absence."""
+    top, fraction = effects[0], FRACTIONS.get(measure, "over its range")
+    significant = top.estimates[measure].floor > (0.0 if measure == MU_STAR else NOTICEABLE)
+    if not significant or len(leaders) > MOST_LEADERS or len(leaders) == len(effects):
+        others = len(leaders) - 1
+        similar = f"; {others} more cannot be distinguished from it" if others else ""
+        largest = size(top.estimates[measure], measure, analysed.display)
+        lead = f"the largest is {top.label} with {largest} {fraction}"
+        return f"No factor stands out for {analysed.name}: {lead}{similar}."
+    names = [e.label for e in leaders]
+    sizes = [size(e.estimates[measure], measure, analysed.display) for e in leaders]
+    ending = _direction(analysed, top)
+    if len(leaders) > 1:
+        ending = "; these runs do not show which of them has the larger effect"
+    return f"{analysed.name} depends most on {join_words(names)}: {join_words(sizes)} {fraction}{ending}."
+
+
+def size(estimate: IntervalEstimate, measure: str, unit: DisplayUnit) -> str:
+    """An estimate with its interval, such as `61 % (54 to 68)` or `12.1 bar (11 to 13.2)`."""
+    if measure == MU_STAR:
+        text = unit.text(estimate.value)
+        if estimate.low is None:
+            return text
+        ends = (unit.text(end, with_unit=False) for end in (max(0.0, estimate.floor), estimate.ceiling))
+        return f"{text} ({' to '.join(ends)})"
+    # A fraction is between 0 and 1, but its estimate can be outside.
+    limited = (min(1.0, max(0.0, v)) for v in (estimate.value, estimate.floor, estimate.ceiling))
+    percent, least, most = (f"{100 * v:.0f}" for v in limited)
+    return f"{percent} %" if estimate.low is None else f"{percent} % ({least} to {most})"
+
+
+def _direction(analysed: OutputAnalysis, effect: Effect) -> str:
+    """Direction of the effect of a factor, or the medians of the options of a choice."""
+    if effect.kind == "choice":
+        text, options = analysed.display.text, analysed.by_choice[effect.name]
+        medians = [f"{text(spread.median)} with {short(option)}" for option, spread in options.items()]
+        return f"; its median is {join_words(medians)}" if len(medians) <= MOST_LEADERS else ""
+    direction = effect.direction or 0.0
+    if abs(direction) < CLEAR:
+        return ", without a clear direction"
+    return "; it rises with it" if direction > 0 else "; it falls with it"
+
+
+def _interaction(sensitivity: Sensitivity) -> str:
+    """Sentence about interactions, if first-order and total indices show them."""
+    if any(FIRST not in e.estimates or TOTAL not in e.estimates for e in sensitivity.effects):
+        return ""
+    alone = [e.estimates[FIRST] for e in sensitivity.effects]
+    remainder, least = 1.0 - sum(e.value for e in alone), 1.0 - sum(e.ceiling for e in alone)
+    if remainder < INTERACTION or least <= 0.0:
+        return ""
+    return f"{100 * remainder:.0f} % of its variance comes from interactions."

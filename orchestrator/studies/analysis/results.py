@@ -1,13 +1,26 @@
-"""Results of an analysis as data; all values are in the unit of the output, or fractions of its variance."""
+"""What the methods of an analysis start from, the values of an output by sample, and its results as data.
+
+All values are in the unit of the output, or fractions of its variance.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from orchestrator.base.errors import Problem
 from orchestrator.base.text import DisplayUnit, display_unit
-from orchestrator.studies.study import short
+from orchestrator.data.table import Array
+from orchestrator.lanes.group import Status
+from orchestrator.studies.store import Results
+from orchestrator.studies.study import Choice, Factor, Output, short
 
 # Names of sensitivity measures.
 FIRST = "first_order"  # first-order index: fraction of the variance due to the factor alone
@@ -165,3 +178,113 @@ class Analysis:
     failures: tuple[Failure, ...]
     findings: tuple[OutputAnalysis, ...]
     notes: tuple[str, ...] = ()
+
+
+EXAMPLES = 5  # run numbers shown for each reason
+# A number that is not part of a name, such as pump_1_rise.
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+
+
+def without_numbers(reasons: pd.Series) -> pd.Series:
+    """Each reason with # for its numbers: equal ones differ only in their numbers."""
+    return reasons.astype(str).map(lambda reason: _NUMBER.sub("#", reason))
+
+
+def counts(results: Results) -> str:
+    """The number of runs of each status, such as `12 runs: 10 ok, 2 failed`."""
+    found = results.table["status"].value_counts()
+    words = (Status.OK, Status.NOT_RELIABLE, Status.EARLY, Status.FAILED)
+    statuses = ", ".join(f"{found[status]} {status}" for status in words if status in found)
+    return f"{len(results.table)} runs: {statuses}"
+
+
+def failures(results: Results) -> tuple[Failure, ...]:
+    """Failed runs by reason, the most frequent first; reasons that differ only in numbers are merged."""
+    failed = results.table[results.table["status"] != Status.OK].sort_values("run")
+    reasons = failed["reason"].fillna("").astype(str).where(lambda r: r != "", "no reason given")
+    groups = []
+    for _, group in failed.groupby(without_numbers(reasons), sort=True):
+        in_group, counts = reasons[group.index], {}
+        for choice in results.study.compared:
+            occurrences = group[choice.column].astype(str).value_counts()
+            counts[choice.name] = {option: int(occurrences.get(option, 0)) for option in choice.options}
+        examples = tuple(int(run) for run in group["run"].head(EXAMPLES))
+        groups.append(Failure(str(in_group.iloc[0]), len(group), examples, counts, in_group.nunique() > 1))
+    return tuple(sorted(groups, key=lambda failure: (-failure.count, failure.reason)))
+
+
+@dataclass(frozen=True)
+class OutputSamples:
+    """Values of one output by sample.
+
+    dimensions   factors and sampled choices
+    x            values of the dimensions, shape (n, k); for a choice the index of the option
+    y            output, shape (n, c), a column per combination of crossed choices; NaN if it is missing
+    crossed      the other choices; the columns of y are the product of their options, the last varies fastest
+    """
+
+    dimensions: tuple[Factor | Choice, ...]
+    x: Array
+    y: Array
+    crossed: tuple[Choice, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the dimensions."""
+        return tuple(dimension.name for dimension in self.dimensions)
+
+    @property
+    def complete(self) -> NDArray[np.bool_]:
+        """Whether each sample has the output in every combination, shape (n,)."""
+        return np.asarray(np.isfinite(self.y).all(axis=1))
+
+    def blocks(self, width: int) -> tuple[OutputSamples, int]:
+        """The samples of all complete blocks of `width` samples, and the number of all blocks."""
+        count = len(self.y) // width
+        complete = self.complete[: count * width].reshape(count, width).all(axis=1)
+        rows = np.flatnonzero(complete)[:, None] * width + np.arange(width)
+        return self.at(rows.ravel()), count
+
+    def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> OutputSamples:
+        """The samples of these rows."""
+        return replace(self, x=self.x[rows], y=self.y[rows])
+
+
+def done(results: Results) -> pd.DataFrame:
+    """The runs that finished; others are left out of all statistics and reported with reasons."""
+    return results.table[results.table["status"] == Status.OK]
+
+
+def samples(results: Results, output: Output) -> OutputSamples:
+    """Values of an output; each sample was run in each combination of crossed choices, in the same order."""
+    study, runs = results.study, results.table.sort_values("run", kind="stable")
+    values = runs[output.column].where(runs["status"] == Status.OK)
+    blocks = [runs.index]
+    for choice in study.crossed:
+        option = runs[choice.column].astype(str)
+        blocks = [block[option[block] == o] for block in blocks for o in choice.options]
+    count = {len(block) for block in blocks}
+    if len(count) != 1:
+        raise Problem(
+            f"results of study {study.title!r}: {min(count)} to {max(count)} runs for each combination of"
+            " choices, expected an equal number; is the study finished?"
+        )
+    x = np.empty((count.pop(), len(study.dimensions)))
+    for i, dimension in enumerate(study.dimensions):
+        column = runs.loc[blocks[0], dimension.column]
+        if isinstance(dimension, Choice):
+            column = column.astype(str).map(dimension.options.index)
+        x[:, i] = column.to_numpy(float)
+    y = np.column_stack([values.loc[block].to_numpy(float) for block in blocks])
+    return OutputSamples(study.dimensions, x, y, study.crossed)
+
+
+def rank_correlations(samples: OutputSamples, y: Array) -> list[float | None]:
+    """Rank correlation of each factor with y; None for choices."""
+    pairs = zip(samples.dimensions, samples.x.T, strict=True)
+    return [rank_correlation(x, y) if isinstance(d, Factor) else None for d, x in pairs]
+
+
+def rank_correlation(x: Array, y: Array) -> float:
+    """Spearman's rank correlation; 0 if x or y is constant."""
+    return float(spearmanr(x, y).statistic) if np.ptp(x) > 0 and np.ptp(y) > 0 else 0.0

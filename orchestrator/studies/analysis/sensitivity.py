@@ -1,4 +1,20 @@
-"""Sensitivities from a plain sample (Latin hypercube, Sobol' points) and from a full grid.
+"""Sensitivities from designs of Morris and Saltelli, a plain sample (Latin hypercube, Sobol' points), a grid.
+
+Elementary effects of a Morris design:
+
+    d_i = (y(x with x_i moved by delta) - y(x)) / delta        mu* = mean |d_i|        sigma = sd of d_i
+
+delta is a fraction of the factor's range (in probability): mu* is the change of the output over the whole
+range, in its unit. It ranks factors; it is not a fraction of a variance. Morris (1991), Technometrics 33,
+161-174; mu*: Campolongo et al. (2007), Environmental Modelling & Software 22, 1509-1518.
+
+Sobol' indices of a Saltelli design: rows A, A with one column of B after the other, B, per base sample.
+
+    S_i = Var(E(y | x_i)) / V        T_i = E(Var(y | all but x_i)) / V
+
+Estimators of Saltelli et al. (2010), Computer Physics Communications 181, 259-270, table 2 (b) and (f). V is
+over factors and choices: y averaged over the choices gives S_i, all of y gives T_i. Intervals: trajectories
+and base samples are resampled; one with all its rows and combinations is one draw.
 
 A linear model of an output: standardised coefficients, their fractions of the variance, and R^2.
 
@@ -20,26 +36,38 @@ Nothing is sampled, so there are no intervals: the results hold for the values o
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-import pandas as pd
+from numpy.typing import NDArray
 from SALib.analyze import rbd_fast
+from scipy.stats import bootstrap
 
 from orchestrator.data.table import Array
-from orchestrator.studies.analysis.morris_sobol import SEED, Rows, intervals, of_crossed, ordered
-from orchestrator.studies.analysis.output_samples import OutputSamples, rank_correlation, rank_correlations
 from orchestrator.studies.analysis.results import (
     FIRST,
+    MU_STAR,
     REGRESSION,
     TOTAL,
     Effect,
     IntervalEstimate,
+    OutputSamples,
     Sensitivity,
+    rank_correlations,
 )
-from orchestrator.studies.design import problem
+from orchestrator.studies.design import LEVELS, problem
 from orchestrator.studies.study import Choice
 
+RESAMPLES = 400  # of the bootstrap: ends of a 95 % interval are accurate to some percent of its width
+SEED = 20_01  # fixed, so that equal results give equal intervals
+MORRIS = "elementary effects of a Morris design"
+SOBOL = "Sobol' indices of a Saltelli design"
+LEAST_TRAJECTORIES = 4
+STEP = LEVELS / (2 * (LEVELS - 1))  # of a dimension in a trajectory, over its range [Morris 1991, 3]
+LEAST_BASE_SAMPLES = 16  # for an interval
+MOST_MISSING = 0.1  # fraction of base samples without output up to which the design is used
+WIDE = 0.4  # width of the interval of a total index above which a note says so
 FAST = "first-order indices by RBD-FAST"
 LINEAR = "squared standardised coefficients of a linear model"
 GRID = "main effects on a full grid"
@@ -49,6 +77,165 @@ BLOCK = 8  # ranks that are shuffled; for 200 samples the 10th harmonic has a wa
 DEGREES_OF_FREEDOM = 10  # least number of samples of a linear model beyond its coefficients
 LEAST_FIT = 0.7  # R^2 below which a linear model does not rank factors [Saltelli et al. 2004]
 ZERO = IntervalEstimate(0.0, 0.0, 0.0)
+
+Rows = NDArray[np.intp]
+
+
+# ---- common to all methods
+
+
+def intervals(estimate: Callable[[Rows], Array], count: int) -> list[IntervalEstimate]:
+    """Each value of `estimate` with its 95 % percentile interval [Efron and Tibshirani 1993, chapter 13].
+
+    estimate  function from indices of samples to values, shape (m,)
+    count     number of samples; the bootstrap draws them with replacement
+    """
+    rows, rng = np.arange(count), np.random.default_rng(SEED)
+    settings = {"n_resamples": RESAMPLES, "method": "percentile", "vectorized": False}
+    result = bootstrap((rows,), estimate, rng=rng, **settings)
+    ends = zip(estimate(rows), *result.confidence_interval, strict=True)
+    return [IntervalEstimate(float(value), float(low), float(high)) for value, low, high in ends]
+
+
+def ordered(effects: list[Effect], measure: str) -> tuple[Effect, ...]:
+    """Effects sorted by a measure, the largest first; equal ones by name."""
+    return tuple(sorted(effects, key=lambda effect: (-effect.estimates[measure].value, effect.name)))
+
+
+def of_axis(y: Array, axis: int) -> list[float]:
+    """First-order and total index of an axis of values on a full grid, any shape; NaN where one is missing.
+
+    first  Var(mean over all other axes) / V, each mean weighted by the number of its values
+    total  mean(Var over the axis) / V; NaN if a value is missing
+
+    Both are 0 if all values are equal.
+    """
+    others, variance = tuple(a for a in range(y.ndim) if a != axis), float(np.nanvar(y))
+    if not variance > 0:
+        return [0.0, 0.0]
+    counts = np.isfinite(y).sum(axis=others)
+    means = np.nansum(y, axis=others) / np.maximum(counts, 1)
+    first = np.average((means - np.nanmean(y)) ** 2, weights=counts)
+    return [float(first) / variance, float(y.var(axis=axis).mean()) / variance]
+
+
+def of_crossed(samples: OutputSamples) -> list[Effect]:
+    """First-order and total indices of the crossed choices, as of an axis of a grid."""
+    options = [len(choice.options) for choice in samples.crossed]
+
+    def indices(rows: Rows) -> Array:
+        y = samples.y[rows].reshape(len(rows), *options)
+        return np.array([index for axis in range(1, y.ndim) for index in of_axis(y, axis)])
+
+    if not options:
+        return []
+    estimates = intervals(indices, len(samples.y))
+    each = zip(samples.crossed, estimates[::2], estimates[1::2], strict=True)
+    return [Effect(choice.name, choice.kind, {FIRST: f, TOTAL: t}) for choice, f, t in each]
+
+
+# ---- Morris
+
+
+def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
+    """mu* and sigma of each factor and choice; a reason if too few trajectories are complete.
+
+    Those of a factor are over the trajectories and the combinations of crossed choices together.
+    """
+    width = len(samples.names) + 1
+    design, count = samples.blocks(width)
+    complete = len(design.y) // width
+    if complete < LEAST_TRAJECTORIES:
+        return f"expected at least {LEAST_TRAJECTORIES} complete trajectories, got {complete} of {count}"
+    x, y = (values.reshape(complete, width, -1) for values in (design.x, design.y))
+    # shape (trajectories, dimensions, combinations of crossed choices); a step moves one dimension by STEP
+    changes = np.einsum("tsd,tsc->tdc", np.sign(np.diff(x, axis=1)), np.diff(y, axis=1)) / STEP
+    stars = intervals(lambda rows: np.abs(changes[rows]).mean(axis=(0, 2)), complete)
+    means = changes.mean(axis=0)
+    sigmas = np.sqrt(changes.var(axis=0, ddof=1).mean(axis=1) + means.var(axis=1)).tolist()
+    directions = rank_correlations(design, design.y.mean(axis=1))
+    found = zip(design.dimensions, stars, means.mean(axis=1).tolist(), sigmas, directions, strict=True)
+    effects = [
+        Effect(d.name, d.kind, {MU_STAR: star}, {"mu": mu, "sigma": sigma}, direction)
+        for d, star, mu, sigma, direction in found
+    ]
+    effects += _option_effects(design, width)
+    notes = [
+        "mu* is the change of the output over the whole range of a factor; it is not a fraction of a variance"
+    ]
+    if complete < count:
+        notes.append(f"{count - complete} of {count} trajectories are left out, as one of their runs failed")
+    largest_first = ordered(effects, MU_STAR)
+    return Sensitivity(MORRIS, MU_STAR, complete, float(design.y.var()), largest_first, notes=tuple(notes))
+
+
+def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
+    """mu* of crossed choices: mean absolute difference between two options, all else equal."""
+    y = design.y.reshape(-1, width, *(len(choice.options) for choice in design.crossed))
+    effects = []
+    for axis, choice in enumerate(design.crossed, start=2):
+        options = np.moveaxis(y, axis, -1)
+        first, second = np.triu_indices(len(choice.options), 1)
+        change = options[..., second] - options[..., first]
+        magnitude = np.abs(change).reshape(len(y), -1).mean(axis=1)
+        star = intervals(lambda rows, m=magnitude: np.array([m[rows].mean()]), len(y))[0]  # type: ignore[misc]
+        more = {"mu": float(change.mean()), "sigma": float(change.std())}
+        effects.append(Effect(choice.name, choice.kind, {MU_STAR: star}, more))
+    return effects
+
+
+# ---- Sobol'
+
+
+def independent(samples: OutputSamples) -> OutputSamples:
+    """The rows A and B of a Saltelli design; the rows between them repeat their columns."""
+    width = len(samples.names) + 2
+    position = np.arange(len(samples.y)) % width
+    return samples.at((position == 0) | (position == width - 1))
+
+
+def sobol_indices(design: OutputSamples, count: int) -> Sensitivity:
+    """First-order and total indices of each factor and choice, from the complete of `count` base samples."""
+    width = len(design.names) + 2
+    independent_rows, y = independent(design), design.y.reshape(-1, width, design.y.shape[1])
+    factors, complete = _sobol_effects(independent_rows, y), len(y)
+    notes = []
+    if complete < count:
+        notes.append(
+            f"{count - complete} of {count} base samples are left out, all {width} rows of each, as one of"
+            " their runs failed; the indices hold for the part of the space where runs succeed"
+        )
+    widest = max(e.estimates[TOTAL].ceiling - e.estimates[TOTAL].floor for e in factors)
+    if widest > WIDE:
+        notes.append(
+            f"{complete} base samples are few: an interval is {100 * widest:.0f} percentage points wide"
+        )
+    effects, variance = ordered(factors + of_crossed(independent_rows), TOTAL), independent_rows.y.var()
+    return Sensitivity(SOBOL, TOTAL, complete, float(variance), effects, notes=tuple(notes))
+
+
+def _sobol_effects(independent_rows: OutputSamples, y: Array) -> list[Effect]:
+    """Indices of the factors; y of shape (base samples, rows, combinations)."""
+    estimates, k = intervals(lambda rows: _indices(y, rows), len(y)), len(independent_rows.dimensions)
+    directions = rank_correlations(independent_rows, independent_rows.y.mean(axis=1))
+    return [
+        Effect(d.name, d.kind, {FIRST: estimates[i], TOTAL: estimates[k + i]}, direction=directions[i])
+        for i, d in enumerate(independent_rows.dimensions)
+    ]
+
+
+def _indices(y: Array, rows: Rows) -> Array:
+    """S_1 .. S_k, T_1 .. T_k, shape (2 k,), for some of the base samples; 0 if all values are equal.
+
+        S_i = mean(f_B (f_ABi - f_A)) / V        T_i = mean((f_A - f_ABi)^2) / 2 V
+
+    In S_i f is the mean over the combinations of crossed choices.
+    """
+    y = y[rows] - y.mean()
+    variance, means = y[:, [0, -1]].var(), y.mean(axis=2)
+    first = (means[:, -1:] * (means[:, 1:-1] - means[:, :1])).mean(axis=0)
+    total = ((y[:, :1] - y[:, 1:-1]) ** 2).mean(axis=(0, 2)) / 2
+    return np.concatenate((first, total)) / (variance or np.inf)
 
 
 # ---- plain samples
@@ -66,8 +253,7 @@ def from_sample(samples: OutputSamples) -> Sensitivity | str:
     fast = count >= ENOUGH
     measure = FIRST if fast else REGRESSION
     crossed = [Effect(e.name, e.kind, {measure: e.estimates[FIRST]}) for e in of_crossed(complete)]
-    mean = complete.y.mean(axis=1)
-    fit = LinearModel(complete, mean).fit if np.ptp(mean) > 0 else 0.0
+    found, fit = _effects(complete, fast)
     reliable = fast or fit >= LEAST_FIT
     notes = [f"a linear model of the factors explains {100 * fit:.0f} % of the variance"]
     if fast:
@@ -80,20 +266,21 @@ def from_sample(samples: OutputSamples) -> Sensitivity | str:
     if not reliable:
         notes.append("the linear model does not fit: it cannot rank the factors")
     method, variance = FAST if fast else LINEAR, float(complete.y.var())
-    effects = ordered(_effects(complete, fast) + crossed, measure)
+    effects = ordered(found + crossed, measure)
     quality = {"r_squared": fit}
     return Sensitivity(method, measure, count, variance, effects, quality, tuple(notes), reliable)
 
 
-def _effects(samples: OutputSamples, fast: bool) -> list[Effect]:
-    """Effects of the dimensions on the mean over the crossed choices, as fractions of the whole variance."""
+def _effects(samples: OutputSamples, fast: bool) -> tuple[list[Effect], float]:
+    """Effects of the dimensions on the mean over the crossed choices, as fractions of the whole variance.
+
+    Second, R^2 of the linear model.
+    """
     y = samples.y.mean(axis=1)
     fraction = float(y.var()) / float(samples.y.var())
     constant = fraction < 1e-12
     first = _rbd_fast(samples, y, fraction) if fast and not constant else [ZERO] * len(samples.names)
-    linear = None if constant else LinearModel(samples, y)
-    values = linear.values if linear else {}
-    coefficients = linear.intervals() if linear else {}
+    coefficients, fit = ({}, 0.0) if constant else linear_model(samples, y)
     directions = rank_correlations(samples, y)
     effects = []
     for i, dimension in enumerate(samples.dimensions):
@@ -105,47 +292,36 @@ def _effects(samples: OutputSamples, fast: bool) -> list[Effect]:
         if isinstance(dimension, Choice):
             first[i] = squared = ZERO if constant else _epsilon_squared(samples.x[:, i], y, fraction)
         estimates = {REGRESSION: squared, **({FIRST: first[i]} if fast else {})}
-        more = {"regression": values[name]} if name in values else {}
+        more = {"regression": b.value} if name in coefficients else {}
         effects.append(Effect(name, dimension.kind, estimates, more, directions[i]))
-    return effects
+    return effects, fit
 
 
-class LinearModel:
-    """A linear model of y in the factors that vary and in the options of choices.
+def linear_model(samples: OutputSamples, y: Array) -> tuple[dict[str, IntervalEstimate], float]:
+    """A linear model of y, shape (n,), in the factors that vary and in the options of choices.
 
-    values   standardised coefficients of factors, and of choices between two options, by name
-    fit      R^2
+    First, the standardised coefficients of factors, and of choices between two options, by name, with
+    intervals of the bootstrap: variances differ between samples even without a residual. Second, R^2.
     """
+    columns, names = list[Array](), list[str]()
+    for dimension, x in zip(samples.dimensions, samples.x.T, strict=True):
+        if isinstance(dimension, Choice):
+            added = [(x == option).astype(float) for option in np.unique(x)[1:]]
+        else:
+            added = [x] if np.ptp(x) > 0 else []
+        columns += added
+        names += [dimension.name if len(added) == 1 else ""] * len(added)
+    if not columns:
+        return {}, 0.0
+    table = np.column_stack(columns)
 
-    def __init__(self, samples: OutputSamples, y: Array) -> None:
-        columns, self._names = list[Array](), list[str]()
-        for dimension, label, x in zip(samples.dimensions, samples.names, samples.x.T, strict=True):
-            if isinstance(dimension, Choice):
-                added = [(x == option).astype(float) for option in np.unique(x)[1:]]
-            else:
-                added = [x] if np.ptp(x) > 0 else []
-            columns += added
-            self._names += [label if len(added) == 1 else ""] * len(added)
-        self.values, self.fit = dict[str, float](), 0.0
-        if not columns:
-            return
-        self._x = np.column_stack(columns)
-        self._y = y
-        values = self._coefficients(np.arange(len(self._y)))
-        residual = _standard(self._y) - _standard(self._x) @ values
-        self.values = {n: float(value) for n, value in zip(self._names, values, strict=True) if n}
-        self.fit = 1.0 - float(np.mean(residual**2))
+    def coefficients(rows: Rows) -> Array:
+        return np.asarray(np.linalg.lstsq(_standard(table[rows]), _standard(y[rows]), rcond=None)[0])
 
-    def _coefficients(self, rows: Rows) -> Array:
-        x, y = _standard(self._x[rows]), _standard(self._y[rows])
-        return np.asarray(np.linalg.lstsq(x, y, rcond=None)[0])
-
-    def intervals(self) -> dict[str, IntervalEstimate]:
-        """Of the values, from the bootstrap: variances differ between samples even without a residual."""
-        if not self._names:
-            return {}
-        estimates = intervals(self._coefficients, len(self._y))
-        return {n: estimate for n, estimate in zip(self._names, estimates, strict=True) if n}
+    estimates = intervals(coefficients, len(y))
+    residual = _standard(y) - _standard(table) @ [estimate.value for estimate in estimates]
+    known = {name: estimate for name, estimate in zip(names, estimates, strict=True) if name}
+    return known, 1.0 - float(np.mean(residual**2))
 
 
 def _standard(values: Array) -> Array:
@@ -203,34 +379,32 @@ def _shuffled_ranks(x: Array, rng: np.random.Generator) -> Array:
 
 
 def main_effects(samples: OutputSamples) -> Sensitivity | str:
-    """First-order index of each factor and choice, and the total index if no run failed."""
-    table = pd.DataFrame(np.repeat(samples.x, samples.y.shape[1], axis=0), columns=list(samples.names))
-    options = list(itertools.product(*(choice.options for choice in samples.crossed)))
-    for j, choice in enumerate(samples.crossed):
-        table[choice.name] = np.tile([combination[j] for combination in options], len(samples.x))
-    table["y"] = samples.y.ravel()
-    points = table.dropna()
-    if len(points) < 2:
-        return f"expected at least 2 runs with the output, got {len(points)}"
-    y, complete = points["y"], len(points) == len(table)
-    variance = float(y.var(ddof=0))
-    kinds = {d.name: d.kind for d in (*samples.dimensions, *samples.crossed)}
+    """First-order index of each factor and choice, and the total index if no run failed.
+
+    The values of a factor are those of the samples: tables of several grids can be put together.
+    """
+    dimensions = (*samples.dimensions, *samples.crossed)
+    places = [np.unique(column, return_inverse=True) for column in samples.x.T]
+    levels = [len(values) for values, _ in places]
+    y = np.full([*levels, samples.y.shape[1]], np.nan)
+    y[tuple(index for _, index in places)] = samples.y
+    y = y.reshape([*levels, *(len(choice.options) for choice in samples.crossed)])
+    count = int(np.isfinite(y).sum())
+    complete, known = count == y.size, np.isfinite(samples.y)
+    if count < 2:
+        return f"expected at least 2 runs with the output, got {count}"
+    x = np.repeat(samples.x, samples.y.shape[1], axis=0)[known.ravel()]
+    directions = rank_correlations(replace(samples, x=x), samples.y[known]) + [None] * len(samples.crossed)
     effects = []
-    for name, kind in kinds.items():
-        # variance of the means at each value, weighted by the number of runs
-        means = points.groupby(name)["y"].transform("mean")
-        estimates = {FIRST: IntervalEstimate(float(means.var(ddof=0)) / variance)}
-        if complete:  # mean variance over one factor, all others fixed
-            others = [other for other in kinds if other != name]
-            means = points.groupby(others)["y"].transform("mean") if others else y.mean()
-            estimates[TOTAL] = IntervalEstimate(float(((y - means) ** 2).mean()) / variance)
-        direction = rank_correlation(points[name].to_numpy(), y.to_numpy()) if kind == "factor" else None
-        effects.append(Effect(name, kind, estimates, {}, direction))
+    for axis, (dimension, direction) in enumerate(zip(dimensions, directions, strict=True)):
+        first, total = of_axis(y, axis)
+        estimates = {FIRST: IntervalEstimate(first)} | ({TOTAL: IntervalEstimate(total)} if complete else {})
+        effects.append(Effect(dimension.name, dimension.kind, estimates, {}, direction))
     notes = ["the results hold for the values of the grid, equally weighted"]
     if not complete:
         notes.append(
-            f"{len(table) - len(points)} of {len(table)} points are missing, as their runs failed: means at a"
+            f"{y.size - count} of {y.size} points are missing, as their runs failed: means at a"
             " value are over the remaining points, so they contain effects of other factors"
         )
-    measure = TOTAL if complete else FIRST
-    return Sensitivity(GRID, measure, len(points), variance, ordered(effects, measure), notes=tuple(notes))
+    measure, variance = TOTAL if complete else FIRST, float(np.nanvar(y))
+    return Sensitivity(GRID, measure, count, variance, ordered(effects, measure), notes=tuple(notes))
