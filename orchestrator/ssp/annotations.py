@@ -1,37 +1,18 @@
 """Annotations of an SSP: suggested master and communication step, shared parameters; read and written.
 
-The SSP standard has no elements for master and step, so each tool has an annotation of its own. The
-annotation of this project, which other tools ignore, is
+The SSP standard has no elements for master and step, so each tool has an annotation of its own. Those of this
+project, which other tools ignore, have the type `harvester-cosim`; docs/coupling.md shows them:
 
-    <ssd:DefaultExperiment>
-      <ssd:Annotations>
-        <ssc:Annotation type="harvester-cosim">
-          <hc:Coupling xmlns:hc="urn:harvester-cosim:coupling" master="hermite" step="0.005" passes="2">
-            <hc:Factor component="arm" steps="4"/>
-          </hc:Coupling>
-        </ssc:Annotation>
-      </ssd:Annotations>
-    </ssd:DefaultExperiment>
+    Coupling          the attributes of `Coupling`, the communication step [s], and Factors of components
+    SharedParameter   a parameter that is one physical quantity in several components
+    CommonParameter   the same, if its components may have different values, which a note tells
 
-with the attributes of `Coupling` and the communication step [s]. Another annotation of the same type names
-parameters that are one physical quantity in several components:
+They may be in the default experiment, in the outermost System, or in the whole file. In other places, such as
+a nested file, they are ignored with a note.
 
-          <hc:SharedParameter xmlns:hc="urn:harvester-cosim:coupling" name="stroke">
-            <hc:Component name="arm"/>
-            <hc:Component name="cylinder"/>
-          </hc:SharedParameter>
-
-A `CommonParameter` is likewise one quantity, such as the density of the oil, but its components may have
-different values: a note tells them.
-
-All may also be annotations of the outermost System, or of the whole file. In other places, such as a nested
-file, they are ignored with a note.
-
-If a Coupling is missing, those of other tools are used. They are followed, or a run is refused until the
-user chooses a master or a step: a run with another step than that of the file could be taken for its result.
-
-    OMSimulator   org.openmodelica: FixedStepMaster, VariableStepMaster; Jacobi, held inputs
-    libcosim      com.opensimulationplatform: FixedStepAlgorithm, StepSizeHint; as before
+If a Coupling is missing, those of other tools are used: of OMSimulator and libcosim, whose masters are Jacobi
+masters. They are followed, or a run is refused until the user chooses a master or a step: a run with another
+step than that of the file could be taken for its result.
 """
 
 from __future__ import annotations
@@ -134,8 +115,7 @@ def _factors(element: XmlElement) -> dict[str, int]:
             raise e.problem("expected Factor in a Coupling")
         attributes = _attributes(e, FACTOR)
         for name in FACTOR:
-            if name not in attributes:
-                raise e.problem(f"expected an attribute {name}, got none")
+            e.required(name)
         if (component := attributes["component"]) in factors:
             raise e.problem(f"component {component}: expected one Factor, got two")
         factors[component] = attributes["steps"]
@@ -160,8 +140,22 @@ def _attributes(element: XmlElement, types: Mapping[str, Any]) -> dict[str, Any]
 # ---- annotations of other tools ----------------------------------------------------------------------------
 
 SAME_STEP = 1e-9  # relative difference of two equal steps
-JACOBI = Coupling("jacobi")
 TOOLS = {"org.openmodelica": "OMSimulator", "com.opensimulationplatform": "libcosim"}  # by type of annotation
+INSIDE = {  # tool -> element -> what is read inside; any other element may affect the run
+    "OMSimulator": {
+        **dict.fromkeys(("Annotation", "Annotations"), ("Annotations", "SimulationInformation", "Buses")),
+        "SimulationInformation": ("FixedStepMaster", "VariableStepMaster", "VariableStepSolver"),
+    },
+    "libcosim": {"Annotation": ("Algorithm", "StepSizeHint"), "Algorithm": ("FixedStepAlgorithm",)},
+}
+# element -> attributes with its step [s], and limits and tolerance of an adaptive one
+STEPS = {
+    "FixedStepMaster": ("stepSize",),
+    "VariableStepMaster": ("initialStepSize", "minimumStepSize", "maximumStepSize", "relativeTolerance"),
+    "FixedStepAlgorithm": ("baseStepSize",),
+    "StepSizeHint": ("value",),  # of one component, here of all
+}
+RESULTS = ("name", "resultFile", "loggingInterval", "bufferSize", "signalFilter")  # of SimulationInformation
 
 
 def _suggestion_of_other_tools(roots: Iterable[XmlElement]) -> Suggestion:
@@ -175,9 +169,8 @@ def _suggestion_of_other_tools(roots: Iterable[XmlElement]) -> Suggestion:
                 raise Problem(f"{_requested(one)}, but {_requested(other)}")
     except Problem as problem:
         return Suggestion(refusal=str(problem))
-    if not found:
-        return Suggestion()
-    return replace(found[0], source=" and ".join(dict.fromkeys(s.source for s in found)))
+    sources = " and ".join(dict.fromkeys(s.source for s in found))
+    return replace(found[0], source=sources) if found else Suggestion()
 
 
 def _requested(found: Suggestion) -> str:
@@ -192,102 +185,43 @@ def _suggestions(root: XmlElement) -> Iterator[Suggestion]:
         element = XmlElement(root.file, raw)
         tool = TOOLS.get((element.get("type") or "").strip()) if element.name == "Annotation" else None
         if tool is not None:
-            yield from _elements(element, tool)
+            yield from _inside(element, tool)
 
 
-def _elements(parent: XmlElement, tool: str) -> Iterator[Suggestion]:
-    """The suggestions in an annotation; OMSimulator nests annotations."""
-    for e in parent.children():
-        if e.name == "Annotations":
-            yield from _elements(e, tool)
-        elif (reader := READERS_OF_TOOLS.get((tool, e.name))) is not None:
-            yield from reader(e, tool)
-        elif e.name != "Buses":
-            raise _unsupported(e, tool)
-
-
-def _of(tool: str, element: XmlElement, step: float, coupling: Coupling = JACOBI) -> Suggestion:
-    """Coupling and step [s] that one element of a tool's annotation requests."""
-    source = f"the annotation of {tool} in {element.file}"
-    return Suggestion(coupling, step, source=source, location=f"{element.location} ({tool})")
-
-
-def _refusal(element: XmlElement, reason: str) -> Problem:
-    return Problem(f"{element.location}: {reason}")
-
-
-def _unsupported(element: XmlElement, tool: str) -> Problem:
-    """An unknown element may affect the run, so it is not ignored."""
-    return _refusal(element, f"{element.name} of {tool} is not supported")
-
-
-def _step(element: XmlElement, name: str) -> float:
-    """A step [s]; the attribute is required."""
-    element.required(name)
-    value = element.number(name)
-    if not value > 0:
-        raise element.problem(f"expected a positive number of seconds for {name}, got {element.get(name)!r}")
-    return value
-
-
-def _algorithm(element: XmlElement, tool: str) -> Iterator[Suggestion]:
-    """Algorithm of libcosim: the element inside has the step."""
-    children = list(element.children())
-    if not children:
-        raise _refusal(element, f"{element.name} of {tool}: expected a FixedStepAlgorithm, got none")
+def _inside(parent: XmlElement, tool: str) -> Iterator[Suggestion]:
+    """The suggestions inside of an element of a tool's annotation."""
+    children = list(parent.children())
+    if parent.name == "Algorithm" and not children:
+        raise Problem(f"{parent.location}: Algorithm of {tool}: expected a FixedStepAlgorithm, got none")
     for e in children:
-        for unknown in (*([] if e.name == "FixedStepAlgorithm" else [e]), *e.children()):
-            raise _unsupported(unknown, tool)
-        yield _of(tool, e, _step(e, "baseStepSize"))
+        if e.name not in INSIDE[tool].get(parent.name, ()):
+            raise Problem(f"{e.location}: {e.name} of {tool} is not supported")
+        if e.name == "SimulationInformation":
+            for name in (n for n in e.attributes if n not in RESULTS):  # it may be a step, or a solver
+                raise Problem(f"{e.location}: attribute {name} of {e.name} ({tool}) is not supported")
+        if e.name == "VariableStepSolver":
+            request = f"{e.name} of {tool} requests Model Exchange ({e.get('description') or e.name})"
+            raise Problem(f"{e.location}: {request}, expected Co-Simulation")
+        if e.name in STEPS:
+            yield _suggested(e, tool)
+        if e.name != "Buses":
+            yield from _inside(e, tool)
 
 
-def _step_size_hint(element: XmlElement, tool: str) -> Iterator[Suggestion]:
-    """StepSizeHint of libcosim: the step of one component, here of all."""
-    yield _of(tool, element, _step(element, "value"))
-
-
-VARIABLE = ("initialStepSize", "minimumStepSize", "maximumStepSize", "relativeTolerance")
-RESULTS = ("name", "resultFile", "loggingInterval", "bufferSize", "signalFilter")
-
-
-def _simulation_information(element: XmlElement, tool: str) -> Iterator[Suggestion]:
-    """SimulationInformation of OMSimulator: a child element is the master."""
-    for name in element.attributes:  # another one may be a step, or a solver
-        if name not in RESULTS:
-            raise _refusal(element, f"attribute {name} of {element.name} ({tool}) is not supported")
-    for e in element.children():
-        if e.name == "FixedStepMaster":
-            yield _of(tool, e, _step(e, "stepSize"))
-        elif e.name == "VariableStepMaster":
-            yield _variable_step(e, tool)
-        elif e.name == "VariableStepSolver":
-            method = e.get("description") or e.name
-            request = f"{e.name} of {tool} requests Model Exchange ({method})"
-            raise _refusal(e, f"{request}, expected Co-Simulation")
-        else:
-            raise _unsupported(e, tool)
-
-
-def _variable_step(element: XmlElement, tool: str) -> Suggestion:
-    """A master with adaptive steps; the nearest one of this project has the same tolerance and limits."""
-    for name in VARIABLE:
-        element.required(name)
-    first, smallest, largest, tolerance = map(element.number, VARIABLE)
-    if not first > 0:
-        message = f"initialStepSize: expected a positive number of seconds, got {first:g}"
-        raise _refusal(element, message)
+def _suggested(element: XmlElement, tool: str) -> Suggestion:
+    """Coupling and step [s] that one element requests; the nearest ones of this project."""
+    for attribute in STEPS[element.name]:
+        element.required(attribute)
+    name, (step, *limits) = STEPS[element.name][0], map(element.number, STEPS[element.name])
+    if not step > 0:
+        raise element.problem(f"expected a positive number of seconds for {name}, got {element.get(name)!r}")
+    smallest, largest, tolerance = limits or (None, None, None)
     try:
         coupling = Coupling("jacobi", adaptive=tolerance, smallest=smallest or None, largest=largest)
     except Problem as problem:
         raise element.problem(str(problem)) from None
-    return _of(tool, element, first, coupling)
-
-
-READERS_OF_TOOLS: Mapping[tuple[str, str], Callable[[XmlElement, str], Iterator[Suggestion]]] = {
-    ("OMSimulator", "SimulationInformation"): _simulation_information,
-    ("libcosim", "Algorithm"): _algorithm,
-    ("libcosim", "StepSizeHint"): _step_size_hint,
-}
+    source = f"the annotation of {tool} in {element.file}"
+    return Suggestion(coupling, step, source=source, location=f"{element.location} ({tool})")
 
 
 # ---- writing -----------------------------------------------------------------------------------------------

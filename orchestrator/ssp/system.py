@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -36,6 +36,10 @@ WRITTEN = 1e-6  # relative difference of equal values that tools have written wi
 RESOURCES = "resources"  # folder of an SSP
 SOURCES = ("output", "calculatedParameter")  # causalities at the first end of a connection
 TARGETS = ("input", "parameter")  # at its second end
+# a given value, its variable, the unit of a user's values -> the value without unit, and the map to that unit
+ReadValue: TypeAlias = (
+    "Callable[[Value | str, FmuVariable, DeclaredUnit | None], tuple[Value | str, LinearTransformation]]"
+)
 
 
 class Port(NamedTuple):
@@ -517,22 +521,13 @@ class System:
         start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
         replaced: list[Connection] = []
         for name, given in self.by_element(values):
-            given = self.inputs[name].number(given) if name in self.inputs else given
-            if self.passed(name):
-                value, to_unit = self._without_unit(name, port := Port("", name), given)
-                start[""][name] = coerce(name, self.variable(port), value, to_unit)
-            for port, linear in self.targets(name):
-                held = port.variable in self.components[port.component].interface.model.held_inputs
-                if port in connected and held:
-                    replaced.append(connected[port])
-                elif port in connected:
-                    reason = f"the input is connected ({connected[port]})"
-                    raise Problem(f"{name} cannot be set: {reason}; --cut {port} removes the connection")
-                check_settable(port, self.components[port.component].interface)
-                value, to_unit = self._without_unit(name, port, given)
-                converted = coerce(str(port), self.variable(port), value, to_unit.then(linear))
-                check_bounds(str(port), self.variable(port), converted)
-                start[port.component][port.variable] = converted
+            for port, value in self.assigned(name, given, partial(_without_unit, name)):
+                if connection := connected.get(port):
+                    if port.variable not in self.components[port.component].interface.model.held_inputs:
+                        reason = f"the input is connected ({connection})"
+                        raise Problem(f"{name} cannot be set: {reason}; --cut {port} removes the connection")
+                    replaced.append(connection)
+                start[port.component][port.variable] = value
         notes = tuple(f"{c.target} is set, which replaces its connection from {c.source}" for c in replaced)
         kept = tuple(c for c in self.connections if c not in replaced)
         system = replace(self.started(start, origin), connections=kept, notes=self.notes + notes)
@@ -555,15 +550,23 @@ class System:
         sizes = {n for n, p in ports.items() if p and self.variable(p).causality == "structuralParameter"}
         return {n: values[n] for n in values if n in sizes}, {n: values[n] for n in values if n not in sizes}
 
-    def _without_unit(
-        self, name: str, port: Port, given: Value | str
-    ) -> tuple[Value | str, LinearTransformation]:
-        """A value without its unit, and the map to the unit of values that a user gives for a port."""
-        number, unit = number_and_unit(str(given)) if self.variable(port).is_real else ("", "")
-        if not unit:
-            return given, IDENTITY
-        target = self.inputs[name].unit if name in self.inputs else self.unit(port)
-        return number, from_user_unit(unit, target, f"{name}={given}")
+    def assigned(self, name: str, given: Value | str, read: ReadValue) -> Iterator[tuple[Port, Value]]:
+        """The ports that a name sets, see `targets`, each with a value in its unit and type.
+
+        read   gives the value for a variable without its unit, and the map to the unit of a user's values
+        """
+        inlet = self.inputs.get(name)
+        given = inlet.number(given) if inlet else given
+        if inlet and self.passed(name):
+            port = Port("", name)
+            yield port, coerce(name, self.variable(port), *read(given, self.variable(port), inlet.unit))
+        for port, linear in self.targets(name):
+            variable = self.variable(port)
+            check_settable(port, self.components[port.component].interface)
+            value, to_unit = read(given, variable, inlet.unit if inlet else self.unit(port))
+            value = coerce(str(port), variable, value, to_unit.then(linear))
+            check_bounds(str(port), variable, value)
+            yield port, value
 
     def check_shared(self) -> None:
         """Raise Problem if a parameter that components share has two values."""
@@ -627,6 +630,14 @@ class System:
             else ()
         )
         return replace(self, connections=kept, notes=self.notes + notes)
+
+
+def _without_unit(
+    name: str, given: Value | str, variable: FmuVariable, target: DeclaredUnit | None
+) -> tuple[Value | str, LinearTransformation]:
+    """A value without its unit, and the map to the unit of values that a user gives."""
+    number, unit = number_and_unit(str(given)) if variable.is_real else ("", "")
+    return (number, from_user_unit(unit, target, f"{name}={given}")) if unit else (given, IDENTITY)
 
 
 def _is_number_to_set(variable: FmuVariable, dimension: object) -> bool:
