@@ -141,7 +141,9 @@ def _attributes(element: XmlElement, types: Mapping[str, Any]) -> dict[str, Any]
 
 SAME_STEP = 1e-9  # relative difference of two equal steps
 TOOLS = {"org.openmodelica": "OMSimulator", "com.opensimulationplatform": "libcosim"}  # by type of annotation
-INSIDE = {  # tool -> element -> what is read inside; any other element may affect the run
+INSIDE: Mapping[
+    str, Mapping[str, Sequence[str]]
+] = {  # tool -> element -> what is read inside; any other element may affect the run
     "OMSimulator": {
         **dict.fromkeys(("Annotation", "Annotations"), ("Annotations", "SimulationInformation", "Buses")),
         "SimulationInformation": ("FixedStepMaster", "VariableStepMaster", "VariableStepSolver"),

@@ -21,15 +21,7 @@ from orchestrator.ssp.common_elements import Transformation
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import bound_values, with_sets
 from orchestrator.ssp.swap import with_swaps
-from orchestrator.ssp.system import (
-    Connection,
-    Inlet,
-    Outlet,
-    Port,
-    System,
-    check_connection,
-    open_component,
-)
+from orchestrator.ssp.system import Connection, Inlet, Outlet, Port, System, check_connection, open_component
 from orchestrator.ssp.system_structure import (
     DEFINITION,
     SINKS,
@@ -136,14 +128,9 @@ def _connected(flat: FlatStructure, system: System) -> System:
         else:
             unit = flat.declared(target).unit or system.variable(source).unit
             outputs[target.variable] = Outlet(target.variable, unit, source, linear)
-    return replace(
-        system,
-        components={name: replace(c, start=start[name]) for name, c in system.components.items()},
-        connections=tuple(connections),
-        inputs={name: replace(inlet, start=start[""].get(name)) for name, inlet in inputs.items()},
-        outputs=outputs,
-        notes=tuple(dict.fromkeys([*notes, *_driven_parameters(system, connections)])),
-    )
+    told = tuple(dict.fromkeys([*notes, *_driven_parameters(system, connections)]))
+    wired = replace(system, connections=tuple(connections), outputs=outputs, notes=told)
+    return wired.started(start, origin="")
 
 
 def _driven_parameters(system: System, connections: Iterable[Connection]) -> Iterator[str]:
@@ -166,10 +153,8 @@ def _inlet(
     units = {v.unit for v in variables}
     unit = declared.unit or (units.pop() if len(units) == 1 else None)
     if unit is None and len(units) > 1:
-        fed = ", ".join(
-            f"{p} {f'in {v.unit}' if v.unit else 'without one'}"
-            for (p, _), v in zip(targets, variables, strict=True)
-        )
+        ends = zip(targets, variables, strict=True)
+        fed = ", ".join(f"{p} {f'in {v.unit}' if v.unit else 'without one'}" for (p, _), v in ends)
         notes.append(f"input {connector.variable} has no unit: the same number goes to {fed}")
     if unit and any(v.unit and v.unit.relative for v in variables):
         unit = replace(unit, relative=True)

@@ -243,11 +243,8 @@ class System:
         """
         port = self.find(name)
         if port is None:
-            suggestion = (
-                suggest(name, [*others, *self.names()])
-                or f"; expected one of {', '.join(self.components)}, a dot and a name"
-            )
-            raise Problem(f"unknown variable {name!r}{suggestion}")
+            hint = f"; expected one of {', '.join(self.components)}, a dot and a name"
+            raise Problem(f"unknown variable {name!r}{suggest(name, [*others, *self.names()]) or hint}")
         return port
 
     def find(self, name: str) -> Port | None:
@@ -296,9 +293,7 @@ class System:
             return None
         (one, sources), (other, targets) = (end or ((), []) for end in ends)
         if one != other:
-            got = " and ".join(
-                f"({', '.join(map(str, shape))})" if shape else "a scalar" for shape in (one, other)
-            )
+            got = " and ".join(f"({', '.join(map(str, s))})" if s else "a scalar" for s in (one, other))
             raise Problem(f"{source} -> {target}: expected equal shapes, got {got}")
         return [*zip(sources, targets, strict=True)]
 
@@ -326,9 +321,8 @@ class System:
             return port.component, array.name if array else port.variable
 
         kept = list[Connection]()
-        for (source, target), wires in grouped(
-            self.connections, lambda c: (end(c.source), end(c.target))
-        ).items():
+        groups = grouped(self.connections, lambda c: (end(c.source), end(c.target)))
+        for (source, target), wires in groups.items():
             if source not in changed and target not in changed:
                 kept += wires
                 continue
@@ -344,9 +338,8 @@ class System:
                 continue
             kept += [Connection(*pair, wires[0].map) for pair in self.pairs(*map(str, names)) or ()]
         inlets = {n: i for n, i in self.inputs.items() if all(self.find(str(p)) for p, _ in i.targets)}
-        outlets = {
-            n: o for n, o in self.outputs.items() if not o.source.component or self.find(str(o.source))
-        }
+        read = {n: o.source for n, o in self.outputs.items()}
+        outlets = {n: self.outputs[n] for n, p in read.items() if not p.component or self.find(str(p))}
         return replace(self, connections=tuple(kept), inputs=inlets, outputs=outlets)
 
     def check_sizes(self, driven: Iterable[Port]) -> None:
@@ -393,9 +386,8 @@ class System:
             for component in components:
                 if Port(component, name) not in self.sharing(name):
                     expected = f"expected a numeric parameter with a start value in {component}"
-                    raise Problem(
-                        f"shared parameter {name}: {expected}, got {self._instead(component, name)}"
-                    )
+                    got = self._instead(component, name)
+                    raise Problem(f"shared parameter {name}: {expected}, got {got}")
 
     def _instead(self, component: str, name: str) -> str:
         """What a component has under a name, in words."""
@@ -436,11 +428,7 @@ class System:
 
     def has(self, name: str) -> bool:
         """Does `targets` accept this name? Faster than `targets`, which searches for similar names."""
-        return (
-            name in self.inputs
-            or self.find(name) is not None
-            or bool(self.sharing(name) or self._inputs(name))
-        )
+        return bool(name in self.inputs or self.find(name) or self.sharing(name) or self._inputs(name))
 
     def names(self) -> list[str]:
         """All `component.variable` names."""
@@ -578,12 +566,9 @@ class System:
         for name in names:
             ports = self.sharing(name)
             unit = self.variable(ports[0]).unit if ports else None
-            values = [
-                conversion(self.variable(port).unit, unit, str(port))(
-                    float(self.components[port.component].value(name))
-                )
-                for port in ports
-            ]
+            maps = (conversion(self.variable(port).unit, unit, str(port)) for port in ports)
+            starts = (float(self.components[port.component].value(name)) for port in ports)
+            values = [linear(start) for linear, start in zip(maps, starts, strict=True)]
             others = (k for k, v in enumerate(values) if not math.isclose(v, values[0], rel_tol=WRITTEN))
             for k in islice(others, 1):
                 in_unit = f" {unit.name}" if unit else ""
@@ -624,12 +609,8 @@ class System:
 
         cut = selected(targets, patterns, missing)
         kept = tuple(c for c in self.connections if str(c.target) not in cut)
-        notes = (
-            (f"connections removed by --cut; these inputs keep their start values: {', '.join(cut)}",)
-            if cut
-            else ()
-        )
-        return replace(self, connections=kept, notes=self.notes + notes)
+        note = f"connections removed by --cut; these inputs keep their start values: {', '.join(cut)}"
+        return replace(self, connections=kept).noted(*[note] * bool(cut))
 
 
 def _without_unit(
@@ -722,9 +703,8 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
 
 def check_map(where: str, variable: FmuVariable, linear: LinearTransformation) -> None:
     """Raise Problem if values of a variable cannot be transformed so."""
-    if linear != IDENTITY and (
-        variable.kind in ("String", "Binary", "Clock") or (variable.is_real and linear.table)
-    ):
+    no_line = variable.kind in ("String", "Binary", "Clock")
+    if linear != IDENTITY and (no_line or (variable.is_real and linear.table)):
         expected = "a LinearTransformation" if variable.is_real else "no transformation"
         got = "a mapping of values" if linear.table else f"{linear.factor:g} x + {linear.offset:g}"
         raise Problem(f"{where}: expected {expected} of a {variable.kind}, got {got}")

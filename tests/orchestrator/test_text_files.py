@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kit.any_fmu.models import Workshop
 from kit.mistakes import problem, table
 
 from orchestrator import Trace, assemble, read_recording, read_trace, run, write_trace
@@ -193,7 +192,7 @@ def test_gaps_of_recordings_and_scenarios(log):
     problem(lambda: read_trace(path), r"u: expected gaps of at most 0\.1 s, got one from 0\.05 s to 0\.05 s")
 
 
-def test_a_column_in_another_unit_drives_its_input(fmus: Workshop, log):
+def test_a_column_in_another_unit_drives_its_input(fmus, log):
     """The input of the FMU is in bar; another quantity is refused, and a column without a unit is in bar."""
     system = assemble({"a": fmus.make("gain", "in_bar", units={"u": "bar", "y": "bar"})}, [])
     for header, first in (("u [kPa]", 0.03), ("u (MPa)", 30.0), ("u", 3.0)):
