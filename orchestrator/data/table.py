@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from io import BytesIO
-from itertools import islice, product, takewhile, zip_longest
+from itertools import islice, pairwise, product, takewhile, zip_longest
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -495,13 +495,11 @@ def _count_values(text: str, start: int, delimiter: str) -> int:
 
 
 def _first_lines(text: str) -> list[tuple[int, int]]:
-    """Begin and end of each of the first lines; one that is too long ends with the text."""
-    spans, begin = list[tuple[int, int]](), 0
-    while len(spans) <= FIRST_ROWS and (begin < len(text) or not spans):
-        match = LINE_BREAK.search(text, begin, begin + MAX_LINE)
-        spans.append((begin, match.end() if match else len(text)))
-        begin = spans[-1][1]
-    return spans
+    """Begin and end of each of the first lines."""
+    ends = [match.end() for match in islice(LINE_BREAK.finditer(text), FIRST_ROWS + 1)]
+    if len(ends) <= FIRST_ROWS and ends[-1:] != [len(text)]:
+        ends.append(len(text))
+    return [*pairwise([0, *ends])]
 
 
 def _lines_above(text: str) -> int:

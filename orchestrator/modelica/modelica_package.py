@@ -171,9 +171,8 @@ class ConnectedSystem:
 
     def __init__(self, system: System, blocks: Mapping[str, FmuBlock], name: str) -> None:
         self.system, self.name, self._blocks, self._scope = system, name, blocks, Scope()
+        self._connected = system.fed
         self._names = {component: self._scope.add(component) for component in system.components}
-        targets = [port for system_input in system.inputs.values() for port, _ in system_input.targets]
-        self._connected = {c.target for c in system.connections}.union(targets)
         self.declarations: list[str] = []
         self.equations: list[str] = []
         self._modifiers: dict[str, list[str]] = {component: [] for component in system.components}

@@ -32,55 +32,37 @@ OWN, COUPLING, SHARED, COMMON = "harvester-cosim", "Coupling", "SharedParameter"
 PATHS = ("DefaultExperiment",), ("System",), ()  # elements with annotations, as paths from the root
 
 
-def read_suggestion(roots: Sequence[XmlElement], components: Iterable[str]) -> Suggestion:
-    """The suggestion in .ssd files for these components; roots: the outermost file first."""
-    elements = [e for e in _own_elements(roots[0]) if e.name == COUPLING]
-    if not elements:
-        return _suggestion_of_other_tools(roots)
-    if len(elements) > 1:
-        lines = ", ".join(str(e.element.sourceline) for e in elements)
+def read_annotations(
+    roots: Sequence[XmlElement], components: Collection[str]
+) -> tuple[Suggestion, dict[str, dict[str, tuple[str, ...]]], list[str]]:
+    """The suggestion, parameters that components share, of the kinds `SHARED` and `COMMON`, and notes.
+
+    roots   of the .ssd files of a system, the outermost one first
+    """
+    annotations = [a for path in PATHS for a in roots[0].children(*path, "Annotations", "Annotation")]
+    shared: dict[str, dict[str, tuple[str, ...]]] = {SHARED: {}, COMMON: {}}
+    couplings = list[XmlElement]()
+    for element in (e for a in annotations if a.get("type") == OWN for e in a.children()):
+        if element.name == COUPLING:
+            couplings.append(element)
+        elif element.name in shared:
+            shared[element.name][element.required("name")] = _sharing(element, components)
+        else:
+            raise element.problem(f"expected {COUPLING}, {SHARED}, {COMMON} in an annotation of type {OWN}")
+    if len(couplings) > 1:
+        lines = ", ".join(str(e.element.sourceline) for e in couplings)
         message = f"expected one Coupling in annotations of type {OWN}, got some in lines {lines}"
         raise Problem(f"{roots[0].file}: {message}")
-    (element,) = elements
-    choices = _attributes(element, ATTRIBUTES)
-    step = choices.pop("step", None)
-    if step is not None and not step > 0:
-        raise element.problem(f"expected a positive number of seconds for step, got {step:g}")
-    factors = _factors(element)
-    try:
-        coupling = Coupling(**choices, factors=factors)
-        coupling.check(components)
-    except Problem as problem:
-        raise element.problem(str(problem)) from None
-    return Suggestion(coupling, step, location=f"{element.location}: Coupling")
-
-
-def read_shared(root: XmlElement, components: Collection[str], kind: str) -> dict[str, tuple[str, ...]]:
-    """Parameter -> components that share it; root: the outermost file; kind: `SHARED` or `COMMON`."""
-    shared = dict[str, tuple[str, ...]]()
-    for element in _own_elements(root):
-        if element.name == kind:
-            names = tuple(e.required("name") for e in element.children("Component"))
-            if not names:
-                raise element.problem("expected at least one Component, got none")
-            for name in names:
-                if name not in components:
-                    expected = f"expected a component of the system, got {name!r}"
-                    raise element.problem(f"{expected}{suggest(name, components)}")
-            shared[element.required("name")] = names
-    return shared
-
-
-def ignored_annotations(roots: Sequence[XmlElement]) -> list[str]:
-    """Notes on annotations of this project in other places than `PATHS`, such as nested files."""
-    read = [e.element for path in PATHS for e in roots[0].children(*path, "Annotations", "Annotation")]
+    read = [a.element for a in annotations]
     reason = f"annotation of type {OWN}: left out, only one of the outermost system counts"
-    return [
+    notes = [
         f"{root.file}: line {e.sourceline}: {reason}"
         for root in roots
         for e in root.element.iter()
         if local_name(e) == "Annotation" and e.get("type") == OWN and e not in read
     ]
+    own = _suggestion(couplings[0], components) if couplings else None
+    return own or _suggestion_of_other_tools(roots), shared, notes
 
 
 # ---- annotation of this project ----------------------------------------------------------------------------
@@ -97,14 +79,29 @@ ATTRIBUTES: Mapping[str, Any] = SETTINGS | {"master": None, "step": float}
 FACTOR: Mapping[str, Any] = {"component": None, "steps": int}
 
 
-def _own_elements(root: XmlElement) -> Iterator[XmlElement]:
-    """The elements in annotations of this project."""
-    for path in PATHS:
-        for annotation in root.children(*path, "Annotations", "Annotation"):
-            for e in annotation.children() if annotation.get("type") == OWN else ():
-                if e.name not in (COUPLING, SHARED, COMMON):
-                    raise e.problem(f"expected {COUPLING}, {SHARED}, {COMMON} in an annotation of type {OWN}")
-                yield e
+def _suggestion(element: XmlElement, components: Collection[str]) -> Suggestion:
+    """The suggestion of a Coupling for these components."""
+    choices = _attributes(element, ATTRIBUTES)
+    step = choices.pop("step", None)
+    if step is not None and not step > 0:
+        raise element.problem(f"expected a positive number of seconds for step, got {step:g}")
+    factors = _factors(element)
+    try:
+        coupling = Coupling(**choices, factors=factors)
+        coupling.check(components)
+    except Problem as problem:
+        raise element.problem(str(problem)) from None
+    return Suggestion(coupling, step, location=f"{element.location}: Coupling")
+
+
+def _sharing(element: XmlElement, components: Collection[str]) -> tuple[str, ...]:
+    """The components that share a parameter."""
+    names = tuple(e.required("name") for e in element.children("Component"))
+    if not names:
+        raise element.problem("expected at least one Component, got none")
+    for name in (n for n in names if n not in components):
+        raise element.problem(f"expected a component of the system, got {name!r}{suggest(name, components)}")
+    return names
 
 
 def _factors(element: XmlElement) -> dict[str, int]:

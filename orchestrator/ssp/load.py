@@ -16,7 +16,7 @@ from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.text import grouped
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import Value
-from orchestrator.ssp.annotations import COMMON, SHARED, ignored_annotations, read_shared, read_suggestion
+from orchestrator.ssp.annotations import COMMON, SHARED, read_annotations
 from orchestrator.ssp.common_elements import Transformation
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import bound_values, with_sets
@@ -79,19 +79,18 @@ def _single_fmu(fmu: Location) -> System:
 
 def _load_ssd(ssd: Location) -> System:
     flat = read_structure(ssd)
-    suggestion = read_suggestion(flat.roots, flat.sources)
-    shared, common = (read_shared(flat.roots[0], flat.sources, kind) for kind in (SHARED, COMMON))
-    flat.notes += ignored_annotations(flat.roots)
+    suggestion, sharing, notes = read_annotations(flat.roots, flat.sources)
+    flat.notes += notes
     components = {name: open_component(name, fmu, flat.kinds[name]) for name, fmu in flat.sources.items()}
     try:
-        system = System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd, shared=shared)
-        system = _connected(flat, replace(system, common=common))
+        system = System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd, suggestion=suggestion)
+        system = _connected(flat, replace(system, shared=sharing[SHARED], common=sharing[COMMON]))
         system.check_sharing()
     except Problem as problem:
         raise Problem(f"{ssd}: {str(problem).removeprefix(f'{ssd}: ')}") from None
     if not components:
         raise Problem(f"{ssd}: the system has no components: expected at least one FMU")
-    return replace(system, suggestion=suggestion)
+    return system
 
 
 def _connected(flat: FlatStructure, system: System) -> System:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import islice
@@ -455,9 +455,14 @@ class System:
         return {str(port): self.variable(port).nominal for port in self.ports("output")}
 
     @property
+    def fed(self) -> Set[Port]:
+        """The ports that have a source: an output of a component, or an input of the system."""
+        return {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
+
+    @property
     def open(self) -> Mapping[str, Inlet]:
         """Component inputs that have no source, by variable name."""
-        fed = {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
+        fed = self.fed
         unfed = [p for p in self.ports("input") if p not in fed and self.variable(p).is_number]
         return {
             name: Inlet(name, self.unit(ports[0]), tuple((p, self._conversion(p)) for p in ports))

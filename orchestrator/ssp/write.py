@@ -211,8 +211,7 @@ def _sides(s: System) -> dict[str, tuple[list[Port], list[Port]]]:
 
     Of a component these are the connected inputs and all outputs.
     """
-    fed = {c.target for c in s.connections} | {p for i in s.inputs.values() for p, _ in i.targets}
-    read = {c.source for c in s.connections} | {o.source for o in s.outputs.values()}
+    fed, read = s.fed, {c.source for c in s.connections} | {o.source for o in s.outputs.values()}
     sides = {"": ([Port("", name) for name in s.inputs], [Port("", name) for name in s.outputs])}
     for name, component in s.components.items():
         ports = [(Port(name, v.name), v) for v in component.interface.variables.values()]
