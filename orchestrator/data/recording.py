@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -222,12 +222,8 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
     file = Path(data) if data else path if path != description_file else _data_file(path, description)
     if not description.signals:
         trace = trace_of(Location(file), description, gaps=True)
-        return Recording(
-            *(trace.time, trace.signals, trace.units, file),
-            title=file.stem,
-            file_units=trace.units,
-            metadata={"kind": "measurement"},
-        )
+        plain = Recording(trace.time, trace.signals, trace.units, file, file.stem)
+        return replace(plain, file_units=trace.units, metadata={"kind": plain.kind})
     column = {name: spec.column or name for name, spec in description.signals.items()}
     columns = read_columns(file, {description.time.column, *column.values()}, description.file)
     specs = [
@@ -254,8 +250,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         trace = checked(replace(columns, values={TIME: time, **signals}, units={}), gaps=True)
         time, signals = trace.time, dict(trace.signals)
     origin = description.reference
-    about = {f.name: getattr(origin, f.name) for f in fields(origin)}
-    about |= {"date": origin.date and str(origin.date)}
+    about = vars(origin) | {"date": origin.date and str(origin.date)}
     return Recording(
         source=file,
         title=origin.title or file.stem,

@@ -249,9 +249,8 @@ class ConnectedSystem:
     def _declare(self, name: str, unit: str, value: float, v: FmuVariable) -> str:
         """Declare a variable of the model for the input `v`; returns its identifier."""
         identifier = self._scope.add(name)
-        self.declarations.append(
-            f"Real {identifier}{unit} = {number(value)} {quoted(v.description)} annotation(Dialog)"
-        )
+        start = f"{number(value)} {quoted(v.description)}"
+        self.declarations.append(f"Real {identifier}{unit} = {start} annotation(Dialog)")
         return identifier
 
     def _start(self, port: Port) -> float:

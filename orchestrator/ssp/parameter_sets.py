@@ -244,10 +244,8 @@ def _file(system: System, chosen: str | Path) -> Location:
     if str(chosen) not in sets:
         home = system.source.parent if system.source and system.source.members else system.source
         contents = f"{home or system.name} contains {', '.join(sets) or 'none'}"
-        raise Problem(
-            f"parameter set {str(chosen)!r} is unknown{suggest(str(chosen), sets)}; {contents};"
-            f" a file name ends in {SUFFIX}"
-        )
+        unknown = f"parameter set {str(chosen)!r} is unknown{suggest(str(chosen), sets)}"
+        raise Problem(f"{unknown}; {contents}; a file name ends in {SUFFIX}")
     return sets[str(chosen)]
 
 

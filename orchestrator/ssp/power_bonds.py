@@ -105,10 +105,8 @@ def _bond(system: System, candidate: _Candidate) -> Bond:
 
 
 def _opposite(effort: Connection, flow: Connection) -> bool:
-    return (
-        effort.source.component == flow.target.component != effort.target.component
-        and flow.source.component == effort.target.component
-    )
+    there, back = ((c.source.component, c.target.component) for c in (effort, flow))
+    return there == back[::-1] != back
 
 
 def _dimension(system: System, c: Connection) -> tuple[int, ...] | None:

@@ -119,11 +119,9 @@ def built_notes(system: System) -> tuple[str, ...]:
     counts = Counter(file for c in system.components.values() for _, file in _built(c).values())
     home = system.source.path if system.source else system.name
     verb = f"{home} was" if len(system.components) == 1 else f"the FMUs in {home} were"
-    return tuple(
-        f"{verb} built with {file}: {count} parameter{'s differ' if count > 1 else ' differs'} from the"
-        " shipped ones; harvester parameters shows them"
-        for file, count in counts.items()
-    )
+    differ = ((file, f"{n} parameter{'s differ' if n > 1 else ' differs'}") for file, n in counts.items())
+    told = "from the shipped ones; harvester parameters shows them"
+    return tuple(f"{verb} built with {file}: {number} {told}" for file, number in differ)
 
 
 def chosen_note(system: System) -> str:

@@ -72,11 +72,9 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
     if file.is_file():
         return Location(file)
     names = sorted(p.stem.removeprefix(prefix) for p in folder.glob(f"{prefix}*{SUFFIX}"))
-    variants = (
-        f"variants of {component}: {', '.join(names)}" if names else f"there is no variant of {component}"
-    )
+    there_is = f"variants of {component}: {', '.join(names)}" if names else ""
     hint = f"{MAKE} builds all variants; the path of another FMU ends in {SUFFIX}"
-    raise Problem(f"{context}: no file {file}; {variants}; {hint}")
+    raise Problem(f"{context}: no file {file}; {there_is or f'there is no variant of {component}'}; {hint}")
 
 
 def _swap(system: System, name: str, file: Location) -> tuple[System, list[LostSignal]]:
@@ -94,10 +92,9 @@ def _swap(system: System, name: str, file: Location) -> tuple[System, list[LostS
         unit = variables[port.variable].unit
         back[port] = conversion(unit, use.unit, f"{port} in {new.source}", notes)
         forth[port] = conversion(use.unit, unit, port.variable)
-    without_unit = {
-        p.variable: use for p, use in needed.items() if use.unit and not variables[p.variable].unit
-    }
-    assumed = {n: replace(variables[n], unit=use.unit) for n, use in without_unit.items()}
+    units = {p.variable: use.unit for p, use in needed.items() if use.unit}
+    without_unit = [n for n in units if not variables[n].unit]
+    assumed = {n: replace(variables[n], unit=units[n]) for n in without_unit}
     interface = replace(new.interface, variables={**variables, **assumed})
     start, missing, fixed = _start_values(old, new)
     origins = {n: origin for n, origin in old.origins.items() if n in start}
@@ -114,7 +111,7 @@ def _swap(system: System, name: str, file: Location) -> tuple[System, list[LostS
         for i in system.inputs.values()
     )
     outlets = (replace(o, map=back.get(o.source, IDENTITY).then(o.map)) for o in system.outputs.values())
-    names = unused, _lost_rates(system, used, dropped), list(without_unit), missing, fixed
+    names = unused, _lost_rates(system, used, dropped), without_unit, missing, fixed
     told = _notes(old, new, *names)
     swapped = replace(
         system,
@@ -305,11 +302,8 @@ def _users(system: System, inputs: Iterable[Port]) -> Iterator[str]:
         declared = interface.stateless or (rates and None not in rates)
         if not declared or any(name in known for known in rates if known):
             yield port.component
-        todo += (
-            c.target
-            for c in system.connections
-            if c.source.component == port.component and name in interface.direct_inputs(c.source.variable)
-        )
+        outgoing = (c for c in system.connections if c.source.component == port.component)
+        todo += (c.target for c in outgoing if name in interface.direct_inputs(c.source.variable))
 
 
 def _notes(old: Component, new: Component, *names: list[str]) -> Iterator[str]:

@@ -243,11 +243,8 @@ def _box(place: int, connectors: Sequence[Connector]) -> tuple[float, float, flo
 
 def _unit(s: System, port: Port) -> DeclaredUnit | None:
     """The unit of a port; that of a port of the system may be another one than that of its variable."""
-    return (
-        s.variable(port).unit
-        if port.component
-        else (s.inputs.get(port.variable) or s.outputs[port.variable]).unit
-    )
+    end = None if port.component else s.inputs.get(port.variable) or s.outputs[port.variable]
+    return end.unit if end else s.variable(port).unit
 
 
 def _start(s: System, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
