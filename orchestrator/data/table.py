@@ -144,7 +144,7 @@ def read_columns(
         columns = _read_logger(file, kind, names)
     else:
         columns = _read_text(file, names, form, named, gaps=lenient or names is not None)
-    for fault in () if lenient else columns.faults.values():
+    for fault in () if lenient and columns.values else columns.faults.values():
         raise Problem(fault)
     if len(columns.rows) < (1 if names is None else 2):
         raise Problem(f"{file}: expected two or more rows of numbers, got {len(columns.rows) or 'none'}")

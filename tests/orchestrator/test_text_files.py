@@ -110,6 +110,8 @@ def test_words_in_a_column_of_numbers_are_gaps(name, log, capsys):
     np.testing.assert_array_equal(read_recording(log(path.read_text(), described))["p"], 1e5 * numbers)
     path.with_suffix(".toml").unlink()
     problem(lambda: read_trace(path), "column 'P.*: expected a number, got '")
+    none = log("time,p\n0e,q\n0,1\n1,1O5\n2,3\n")  # nothing else is left to read
+    problem(lambda: read_recording(none), "log.csv: line 2: column 'time': expected a number, got '0e'$")
 
 
 @table(__file__, "stated", "keys, first, told")
