@@ -8,7 +8,7 @@ import struct
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 
@@ -54,24 +54,26 @@ def gain(fmus: Workshop) -> Path:
     return fmus["gain"]
 
 
-def fmu(path: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:
-    """A good FMU with changes of its description and more members."""
-    text = XML_2
+def changed(
+    path: Path, members: Members, name: str, changes: Sequence[tuple[str, str]], more: Members | None
+) -> Path:
+    """An archive with changes of the text of one member, and more members."""
+    text = members[name].decode()
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
-    path.write_bytes(archived({**GOOD, DESCRIPTION: text.encode(), **(more or {})}))
+    path.write_bytes(archived({**members, name: text.encode(), **(more or {})}))
     return path
+
+
+def fmu(path: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:
+    """A good FMU with changes of its description and more members."""
+    return changed(path, GOOD, DESCRIPTION, changes, more)
 
 
 def system(path: Path, gain: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:
     """A good SSP with changes of its SystemStructure.ssd and more members."""
-    members = dict(good_system(gain))
-    for old, new in changes:
-        assert old.encode() in members["SystemStructure.ssd"]
-        members["SystemStructure.ssd"] = members["SystemStructure.ssd"].replace(old.encode(), new.encode())
-    path.write_bytes(archived({**members, **(more or {})}))
-    return path
+    return changed(path, good_system(gain), "SystemStructure.ssd", changes, more)
 
 
 def in_directory(offset: int, kind: str, value: int, member: int = 0) -> Callable[[Path], None]:
