@@ -222,8 +222,11 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
     file = Path(data) if data else path if path != description_file else _data_file(path, description)
     if not description.signals:
         trace = trace_of(Location(file), description, gaps=True)
-        plain = Recording(trace.time, trace.signals, trace.units, file, file.stem)
-        return replace(plain, file_units=trace.units, metadata={"kind": plain.kind})
+        return Recording(
+            *(trace.time, trace.signals, trace.units, file, file.stem),
+            file_units=trace.units,
+            metadata={"kind": "measurement"},
+        )
     column = {name: spec.column or name for name, spec in description.signals.items()}
     columns = read_columns(file, {description.time.column, *column.values()}, description.file)
     specs = [

@@ -313,7 +313,10 @@ class TraceFile(TraceSink):
         whole = self.partial.with_suffix(self._suffix)
         try:
             with naming(whole):
-                self._to_parquet(whole, check) if self._suffix == ".parquet" else self._to_matlab(whole)
+                if self._suffix == ".parquet":
+                    self._to_parquet(whole, check)
+                else:
+                    self._to_matlab(whole)
                 check()
                 return whole, Location(whole).sha256
         except BaseException:

@@ -138,14 +138,17 @@ def _attributes(element: XmlElement, types: Mapping[str, Any]) -> dict[str, Any]
 
 SAME_STEP = 1e-9  # relative difference of two equal steps
 TOOLS = {"org.openmodelica": "OMSimulator", "com.opensimulationplatform": "libcosim"}  # by type of annotation
-INSIDE: Mapping[
-    str, Mapping[str, Sequence[str]]
-] = {  # tool -> element -> what is read inside; any other element may affect the run
+# tool -> element -> what is known inside; there any other element may affect the run
+INSIDE: Mapping[str, Mapping[str, Sequence[str]]] = {
     "OMSimulator": {
         **dict.fromkeys(("Annotation", "Annotations"), ("Annotations", "SimulationInformation", "Buses")),
         "SimulationInformation": ("FixedStepMaster", "VariableStepMaster", "VariableStepSolver"),
     },
-    "libcosim": {"Annotation": ("Algorithm", "StepSizeHint"), "Algorithm": ("FixedStepAlgorithm",)},
+    "libcosim": {
+        "Annotation": ("Algorithm", "StepSizeHint"),
+        "Algorithm": ("FixedStepAlgorithm",),
+        "FixedStepAlgorithm": (),  # StepSizes of components would be inside
+    },
 }
 # element -> attributes with its step [s], and limits and tolerance of an adaptive one
 STEPS = {
@@ -193,7 +196,7 @@ def _inside(parent: XmlElement, tool: str) -> Iterator[Suggestion]:
     if parent.name == "Algorithm" and not children:
         raise Problem(f"{parent.location}: Algorithm of {tool}: expected a FixedStepAlgorithm, got none")
     for e in children:
-        if e.name not in INSIDE[tool].get(parent.name, ()):
+        if e.name not in INSIDE[tool][parent.name]:
             raise Problem(f"{e.location}: {e.name} of {tool} is not supported")
         if e.name == "SimulationInformation":
             for name in (n for n in e.attributes if n not in RESULTS):  # it may be a step, or a solver
@@ -203,7 +206,7 @@ def _inside(parent: XmlElement, tool: str) -> Iterator[Suggestion]:
             raise Problem(f"{e.location}: {request}, expected Co-Simulation")
         if e.name in STEPS:
             yield _suggested(e, tool)
-        if e.name != "Buses":
+        if e.name in INSIDE[tool]:
             yield from _inside(e, tool)
 
 

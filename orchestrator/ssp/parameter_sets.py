@@ -226,14 +226,14 @@ def _read(
     value: ParameterValue,
     context: str,
     notes: list[str],
-    text: Value | str,
-    _: object,
+    given: Value | str,
+    _: Port,
     unit: DeclaredUnit | None,
 ) -> tuple[Value | str, LinearTransformation]:
     """A value of a set, and the map to a unit."""
     if value.fault:
         raise Problem(value.fault)
-    return text, value.map_to(unit, context, notes)
+    return given, value.map_to(unit, context, notes)
 
 
 def _file(system: System, chosen: str | Path) -> Location:

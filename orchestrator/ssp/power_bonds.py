@@ -105,8 +105,8 @@ def _bond(system: System, candidate: _Candidate) -> Bond:
 
 
 def _opposite(effort: Connection, flow: Connection) -> bool:
-    there, back = ((c.source.component, c.target.component) for c in (effort, flow))
-    return there == back[::-1] != back
+    one, other = effort.source.component, effort.target.component
+    return one != other and (flow.source.component, flow.target.component) == (other, one)
 
 
 def _dimension(system: System, c: Connection) -> tuple[int, ...] | None:

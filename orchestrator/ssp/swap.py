@@ -72,9 +72,11 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
     if file.is_file():
         return Location(file)
     names = sorted(p.stem.removeprefix(prefix) for p in folder.glob(f"{prefix}*{SUFFIX}"))
-    there_is = f"variants of {component}: {', '.join(names)}" if names else ""
+    variants = (
+        f"variants of {component}: {', '.join(names)}" if names else f"there is no variant of {component}"
+    )
     hint = f"{MAKE} builds all variants; the path of another FMU ends in {SUFFIX}"
-    raise Problem(f"{context}: no file {file}; {there_is or f'there is no variant of {component}'}; {hint}")
+    raise Problem(f"{context}: no file {file}; {variants}; {hint}")
 
 
 def _swap(system: System, name: str, file: Location) -> tuple[System, list[LostSignal]]:
@@ -111,8 +113,8 @@ def _swap(system: System, name: str, file: Location) -> tuple[System, list[LostS
         for i in system.inputs.values()
     )
     outlets = (replace(o, map=back.get(o.source, IDENTITY).then(o.map)) for o in system.outputs.values())
-    names = unused, _lost_rates(system, used, dropped), without_unit, missing, fixed
-    told = _notes(old, new, *names)
+    rates = _lost_rates(system, used, dropped)
+    told = _notes(old, new, unused, rates, without_unit, missing, fixed)
     swapped = replace(
         system,
         components={**system.components, name: component},
@@ -306,8 +308,16 @@ def _users(system: System, inputs: Iterable[Port]) -> Iterator[str]:
         todo += (c.target for c in outgoing if name in interface.direct_inputs(c.source.variable))
 
 
-def _notes(old: Component, new: Component, *names: list[str]) -> Iterator[str]:
-    """Notes on names: unused, lost rates, without unit, start values that are missing or computed."""
+def _notes(
+    old: Component,
+    new: Component,
+    unused: list[str],
+    rates: list[str],
+    without_unit: list[str],
+    missing: list[str],
+    fixed: list[str],
+) -> Iterator[str]:
+    """Notes on inputs, and on start values that the new FMU lacks, or computes itself."""
     variables = old.interface.variables
     additional = [v.name for v in new.interface.of("input") if v.name not in variables]
     converted = [
@@ -318,20 +328,19 @@ def _notes(old: Component, new: Component, *names: list[str]) -> Iterator[str]:
         if _differ(before.unit, v.unit)
     ]
     held = "without these rates inputs are held during a step, which reduces the accuracy"
+    without = "the start values in the system are not used"
     keep = "values that you set keep the unit of the replaced FMU"
-    unused = "the start values in the system are not used"
-    texts = (
-        "has no {}: it does not use what the system would send there",
-        f"has no {{}}: {held}",
-        "declares no unit for {}: that of the replaced FMU is used",
-        f"has no {{}}: {unused}",
-        f"computes {{}} itself: {unused}",
-        "has additional inputs, which are not connected: {}",
-        f"has other units, which are converted: {{}}; {keep}",
-    )
-    for some, text in zip((*names, additional, converted), texts, strict=True):
-        if some:
-            yield f"{new.source} {text.format(first_names(some))}"
+    for names, text in (
+        (unused, "has no {}: it does not use what the system would send there"),
+        (rates, f"has no {{}}: {held}"),
+        (without_unit, "declares no unit for {}: that of the replaced FMU is used"),
+        (missing, f"has no {{}}: {without}"),
+        (fixed, f"computes {{}} itself: {without}"),
+        (additional, "has additional inputs, which are not connected: {}"),
+        (converted, f"has other units, which are converted: {{}}; {keep}"),
+    ):
+        if names:
+            yield f"{new.source} {text.format(first_names(names))}"
 
 
 def _differ(old: DeclaredUnit, new: DeclaredUnit) -> bool:

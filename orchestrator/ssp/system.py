@@ -36,9 +36,9 @@ WRITTEN = 1e-6  # relative difference of equal values that tools have written wi
 RESOURCES = "resources"  # folder of an SSP
 SOURCES = ("output", "calculatedParameter")  # causalities at the first end of a connection
 TARGETS = ("input", "parameter")  # at its second end
-# a given value, its variable, the unit of a user's values -> the value without unit, and the map to that unit
+# a given value, the port it sets, the unit of user values -> the value without its unit, and the map to that
 ReadValue: TypeAlias = (
-    "Callable[[Value | str, FmuVariable, DeclaredUnit | None], tuple[Value | str, LinearTransformation]]"
+    "Callable[[Value | str, Port, DeclaredUnit | None], tuple[Value | str, LinearTransformation]]"
 )
 
 
@@ -514,13 +514,10 @@ class System:
         start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
         replaced: list[Connection] = []
         for name, given in self.by_element(values):
-            for port, value in self.assigned(name, given, partial(_without_unit, name)):
-                if connection := connected.get(port):
-                    if port.variable not in self.components[port.component].interface.model.held_inputs:
-                        reason = f"the input is connected ({connection})"
-                        raise Problem(f"{name} cannot be set: {reason}; --cut {port} removes the connection")
-                    replaced.append(connection)
+            for port, value in self.assigned(name, given, partial(self._without_unit, name, connected)):
                 start[port.component][port.variable] = value
+                if port in connected:
+                    replaced.append(connected[port])
         notes = tuple(f"{c.target} is set, which replaces its connection from {c.source}" for c in replaced)
         kept = tuple(c for c in self.connections if c not in replaced)
         system = replace(self.started(start, origin), connections=kept, notes=self.notes + notes)
@@ -546,20 +543,39 @@ class System:
     def assigned(self, name: str, given: Value | str, read: ReadValue) -> Iterator[tuple[Port, Value]]:
         """The ports that a name sets, see `targets`, each with a value in its unit and type.
 
-        read   gives the value for a variable without its unit, and the map to the unit of a user's values
+        read   gives the value for a port without its unit, and the map to the unit of a user's values
         """
         inlet = self.inputs.get(name)
         given = inlet.number(given) if inlet else given
         if inlet and self.passed(name):
             port = Port("", name)
-            yield port, coerce(name, self.variable(port), *read(given, self.variable(port), inlet.unit))
+            yield port, coerce(name, self.variable(port), *read(given, port, inlet.unit))
         for port, linear in self.targets(name):
             variable = self.variable(port)
             check_settable(port, self.components[port.component].interface)
-            value, to_unit = read(given, variable, inlet.unit if inlet else self.unit(port))
-            value = coerce(str(port), variable, value, to_unit.then(linear))
+            value, to_unit = read(given, port, inlet.unit if inlet else self.unit(port))
+            value = coerce(name, variable, value, to_unit.then(linear))
             check_bounds(str(port), variable, value)
             yield port, value
+
+    def _without_unit(
+        self,
+        name: str,
+        connected: Mapping[Port, Connection],
+        given: Value | str,
+        port: Port,
+        target: DeclaredUnit | None,
+    ) -> tuple[Value | str, LinearTransformation]:
+        """A value without its unit, and the map to the unit of values that a user gives for a port.
+
+        Raises Problem if the port is connected, unless its FMU declares it as held.
+        """
+        connection = connected.get(port)
+        if connection and port.variable not in self.components[port.component].interface.model.held_inputs:
+            reason = f"the input is connected ({connection})"
+            raise Problem(f"{name} cannot be set: {reason}; --cut {port} removes the connection")
+        number, unit = number_and_unit(str(given)) if self.variable(port).is_real else ("", "")
+        return (number, from_user_unit(unit, target, f"{name}={given}")) if unit else (given, IDENTITY)
 
     def check_shared(self) -> None:
         """Raise Problem if a parameter that components share has two values."""
@@ -615,15 +631,7 @@ class System:
         cut = selected(targets, patterns, missing)
         kept = tuple(c for c in self.connections if str(c.target) not in cut)
         note = f"connections removed by --cut; these inputs keep their start values: {', '.join(cut)}"
-        return replace(self, connections=kept).noted(*[note] * bool(cut))
-
-
-def _without_unit(
-    name: str, given: Value | str, variable: FmuVariable, target: DeclaredUnit | None
-) -> tuple[Value | str, LinearTransformation]:
-    """A value without its unit, and the map to the unit of values that a user gives."""
-    number, unit = number_and_unit(str(given)) if variable.is_real else ("", "")
-    return (number, from_user_unit(unit, target, f"{name}={given}")) if unit else (given, IDENTITY)
+        return replace(self, connections=kept).noted(note) if cut else self
 
 
 def _is_number_to_set(variable: FmuVariable, dimension: object) -> bool:
