@@ -145,9 +145,8 @@ def _colour(document: dict[str, Any], material: int | None) -> str:
     """Base colour of a material, which is linear, as sRGB (IEC 61966-2-1)."""
     if material is None:
         return ""
-    base = (
-        document["materials"][material].get("pbrMetallicRoughness", {}).get("baseColorFactor", (1, 1, 1, 1))
-    )
+    about = document["materials"][material].get("pbrMetallicRoughness", {})
+    base = about.get("baseColorFactor", (1, 1, 1, 1))
     linear = np.clip(np.array(base[:3], dtype=float), 0, 1)
     if not np.isfinite(linear).all():
         raise ValueError("a colour that is no number")

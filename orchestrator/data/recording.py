@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -223,8 +223,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
     if not description.signals:
         trace = trace_of(Location(file), description, gaps=True)
         return Recording(
-            *(trace.time, trace.signals, trace.units, file),
-            title=file.stem,
+            *(trace.time, trace.signals, trace.units, file, file.stem),
             file_units=trace.units,
             metadata={"kind": "measurement"},
         )
@@ -243,9 +242,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         if is_unit(unit) and parse_unit(unit) != parse_unit(spec.unit):
             told = f"in {unit}, but read in {spec.unit}, as {description_file.name} states"
             tell_once(f"{file}: column {column[name]!r}: {told}")
-    if (
-        description.experiment
-    ):  # of a machine, whose angles have no end; the output of another system may wrap
+    if description.experiment:  # angles of a machine have no end; the output of another system may wrap
         specs = [(n, unwrapping(columns.values[column[n]], s, f"{file}: {n}")) for n, s in specs]
     stated = description.experiment.items()
     conditions = {n: x if n in WORDS and isinstance(x, str) else _condition(x) for n, x in stated}
@@ -256,8 +253,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         trace = checked(replace(columns, values={TIME: time, **signals}, units={}), gaps=True)
         time, signals = trace.time, dict(trace.signals)
     origin = description.reference
-    about = {f.name: getattr(origin, f.name) for f in fields(origin)}
-    about |= {"date": origin.date and str(origin.date)}
+    about = vars(origin) | {"date": origin.date and str(origin.date)}
     return Recording(
         source=file,
         title=origin.title or file.stem,
@@ -305,11 +301,10 @@ def fill_gaps(recording: Recording, name: str) -> Array:
     for gap in true_intervals(~valid):
         first, last = max(gap.start - 1, 0), min(gap.stop, len(time) - 1)
         if time[last] - time[first] > LONGEST_GAP:
-            raise Problem(
-                f"{recording.source}: {name}: expected gaps of at most {LONGEST_GAP:g} s, got one from"
-                f" {time[gap.start]:.6g} s to {time[gap.stop - 1]:.6g} s:"
-                " leave that part out with start or stop of [time]"
-            )
+            got = f"got one from {time[gap.start]:.6g} s to {time[gap.stop - 1]:.6g} s"
+            expected = f"expected gaps of at most {LONGEST_GAP:g} s"
+            hint = "leave that part out with start or stop of [time]"
+            raise Problem(f"{recording.source}: {name}: {expected}, {got}: {hint}")
     return recording.interpolated(name)
 
 
@@ -332,10 +327,8 @@ def _seconds(columns: Columns, description: Description) -> Array:
         raise Problem(f"{columns.location(k)}: column {spec.column!r}: expected a time, got none")
     steps = np.diff(raw)
     for k in np.flatnonzero((steps < 0) | ((steps == 0) & bool(description.experiment)))[:1]:
-        got = f"{raw[k + 1]:.10g} after {raw[k]:.10g}"
-        raise Problem(
-            f"{columns.location(k + 1)}: column {spec.column!r}: expected increasing times, got {got}"
-        )
+        got, where = f"{raw[k + 1]:.10g} after {raw[k]:.10g}", columns.location(k + 1)
+        raise Problem(f"{where}: column {spec.column!r}: expected increasing times, got {got}")
     return time_axis(columns, spec.column, spec.unit, spec.offset)
 
 

@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from io import BytesIO
-from itertools import islice, product, takewhile, zip_longest
+from itertools import islice, pairwise, product, takewhile, zip_longest
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -62,6 +62,9 @@ LIKE_NUMBER = re.compile(r"[-+]?[.,]?\d")  # beginning of a cell that is no word
 NAME_AND_UNIT = re.compile(r"(.*\S)(?: *\[([^][]+)\]| +\(([^()]+)\))", re.DOTALL)
 
 FILE_NAME = Rule("the name of a file in the folder of the description", lambda v: Path(v).name == v)
+DELIMITER = Rule(
+    r"one character such as ';', or \s+", lambda v: v == r"\s+" or (len(v) == 1 and v not in '"\r\n')
+)
 
 
 @dataclass(frozen=True)
@@ -77,8 +80,8 @@ class TextFormat:
     """
 
     csv: Annotated[str, FILE_NAME] = ""
-    delimiter: str | None = None
-    decimal: str | None = None
+    delimiter: Annotated[str | None, DELIMITER] = None
+    decimal: Annotated[str | None, Rule("'.' or ','", lambda v: v in (".", ","))] = None
     skip_lines: Annotated[int | None, NOT_NEGATIVE] = None
     skip_rows: Annotated[int | None, NOT_NEGATIVE] = None
 
@@ -105,6 +108,14 @@ class Columns:
     def location(self, sample: int) -> str:
         """File and line or row of a sample, for messages."""
         return f"{self.file}: {self.row_word} {self.rows[sample]}"
+
+    def finite(self) -> Columns:
+        """These columns, which must have no infinite number; gaps are allowed."""
+        for name, values in self.values.items():
+            for k in np.flatnonzero(np.isinf(values))[:1]:
+                got = f"got {values[k]:g}"
+                raise Problem(f"{self.location(k)}: column {name!r}: expected a finite number, {got}")
+        return self
 
 
 def read_columns(
@@ -133,16 +144,11 @@ def read_columns(
         columns = _read_logger(file, kind, names)
     else:
         columns = _read_text(file, names, form, named, gaps=lenient or names is not None)
-    for fault in () if lenient else columns.faults.values():
+    for fault in () if lenient and columns.values else columns.faults.values():
         raise Problem(fault)
     if len(columns.rows) < (1 if names is None else 2):
         raise Problem(f"{file}: expected two or more rows of numbers, got {len(columns.rows) or 'none'}")
-    for name, values in columns.values.items():
-        if (infinite := np.isinf(values)).any():
-            k = int(infinite.argmax())
-            message = f"expected a finite number, got {values[k]:g}"
-            raise Problem(f"{columns.location(k)}: column {name!r}: {message}")
-    return columns
+    return columns.finite()
 
 
 def _read_logger(file: Location, kind: str, names: Collection[str] | None) -> Columns:
@@ -237,7 +243,6 @@ class _Text:
     def __init__(self, file: Location, form: TextFormat, named: bool = True) -> None:
         self.file, self.form = file, form
         self.words, self.faults = defaultdict[str, Counter[str]](Counter), dict[str, str]()
-        self.check_format()
         text, detected = self._text(), named and form.skip_lines is None
         self.above = _lines_above(text) if detected else form.skip_lines or 0
         if detected and self.above:
@@ -386,14 +391,6 @@ class _Text:
             raise Problem(f"{self.file}: line {first + begin}: {error}") from None
         return rows
 
-    def check_format(self) -> None:
-        """Refuse an invalid delimiter or decimal mark."""
-        if self.form.decimal not in (".", ",", None):
-            raise Problem(f"{self.file}: [file] decimal: expected '.' or ',', got {self.form.decimal!r}")
-        mark = self.form.delimiter or ","
-        if mark in ('"', "\r", "\n") or (len(mark) != 1 and mark != r"\s+"):
-            raise Problem(f"{self.file}: [file] delimiter: expected one character such as ';', got {mark!r}")
-
     def check_delimiter(self, line: str) -> None:
         """Refuse a delimiter that is the decimal mark, too, or not in the row of names."""
         origin = "the default" if self.form.delimiter is None else "as set"
@@ -498,13 +495,11 @@ def _count_values(text: str, start: int, delimiter: str) -> int:
 
 
 def _first_lines(text: str) -> list[tuple[int, int]]:
-    """Begin and end of each of the first lines; one that is too long ends with the text."""
-    spans, begin = list[tuple[int, int]](), 0
-    while len(spans) <= FIRST_ROWS and (begin < len(text) or not spans):
-        match = LINE_BREAK.search(text, begin, begin + MAX_LINE)
-        spans.append((begin, match.end() if match else len(text)))
-        begin = spans[-1][1]
-    return spans
+    """Begin and end of each of the first lines."""
+    ends = [match.end() for match in islice(LINE_BREAK.finditer(text), FIRST_ROWS + 1)]
+    if len(ends) <= FIRST_ROWS and ends[-1:] != [len(text)]:
+        ends.append(len(text))
+    return [*pairwise([0, *ends])]
 
 
 def _lines_above(text: str) -> int:
@@ -674,9 +669,8 @@ def _arrow_values(column: Any, where: str, name: str) -> Array:
         numbers = [_number(cell) for cell in cells]
         if None in numbers:
             bad = numbers.index(None)
-            raise Problem(
-                f"{where} {bad + 1}: column {name!r}: expected a number, got {shortened(cells[bad])!r}"
-            )
+            got = f"got {shortened(cells[bad])!r}"
+            raise Problem(f"{where} {bad + 1}: column {name!r}: expected a number, {got}")
         return np.array(numbers, dtype=np.float64)
     raise Problem(f"{where} 1: column {name!r}: expected numbers, got {column_type}")
 
@@ -705,9 +699,8 @@ def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
         got = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise Problem(f"{file}: expected columns of one length, got {got}")
     values = {n: values[n] for n in dict.fromkeys([*original.values(), *values]) if n in values}  # in order
-    return Columns(
-        str(file), values, range(1, 1 + min(lengths.values(), default=0)), units=units, faults=faults
-    )
+    rows = range(1, 1 + min(lengths.values(), default=0))
+    return Columns(str(file), values, rows, units=units, faults=faults)
 
 
 def _of_trace(variables: dict[str, Any]) -> tuple[dict[str, str], dict[str, str]]:

@@ -293,13 +293,10 @@ def as_trace(data: Data, name: str = "data") -> Trace:
         except (TypeError, ValueError) as error:
             raise Problem(f"{name}: column {column!r}: expected numbers: {error}") from None
     for column, samples in values.items():
-        for k in np.flatnonzero(np.isinf(samples))[:1]:
-            where = f"{name}: row {k + 1}: column {column!r}"
-            raise Problem(f"{where}: expected a finite number, got {samples[k]:g}")
         if samples.shape != (expected := values[TIME].shape) or samples.ndim != 1:
             told = f"expected a vector of one number for each time, got shape {samples.shape}"
             raise Problem(f"{name}: column {column!r}: {told}, and {expected} of the time")
-    return checked(Columns(name, values, range(1, 1 + len(values[TIME]))))
+    return checked(Columns(name, values, range(1, 1 + len(values[TIME]))).finite())
 
 
 def dataset(
@@ -369,9 +366,8 @@ def _sorted(columns: Columns) -> Columns:
     _, last = np.unique(time[::-1], return_index=True)  # sorted; the first one from behind
     order = len(time) - 1 - last
     late, double = int((np.diff(time) < 0).sum()), len(time) - len(order)
-    tell_once(
-        f"{columns.file}: rows are out of order {late} times and {double} times double; they are sorted"
-    )
+    found = f"rows are out of order {late} times and {double} times double"
+    tell_once(f"{columns.file}: {found}; they are sorted")
     values = {name: column[order] for name, column in columns.values.items()}
     return replace(columns, values=values, rows=[int(columns.rows[k]) for k in order])
 

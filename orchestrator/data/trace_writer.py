@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 Points = tuple[Array, Array, NDArray[np.int64]]  # times, Real and Integer values
 ORIGIN = "harvester"  # key of the JSON text about the run in the metadata of a Parquet file
 CHUNK = 8192  # rows of a trace written at a time
-BLOCK = 1 << 24  # bytes of text that are converted or summed up at a time, without all rows in memory
+BLOCK = 1 << 24  # bytes of text that are converted at a time, without all rows in memory
 MANY = 5000  # values whose text takes Python as long as loading the library that is faster
 MAX_KEPT = 32 << 20  # bytes that are kept in memory besides a file: 190 s of 110 signals every 5 ms
 
@@ -272,8 +272,8 @@ class TraceFile(TraceSink):
     def append(self, times: Array, values: Array) -> None:
         """Write rows; if the disk is full, the file ends with the last row that fits."""
         assert self._rows is not None
-        end = self._rows.end
-        with naming(self.partial, f"; it has the rows up to t = {end:.6g} s" if end == end else ""):
+        until = f"; it has the rows up to t = {self.last:.6g} s" if self.rows else ""
+        with naming(self.partial, until):
             self._rows.append(times, values)
         super().append(times, values)
         if len(times):
@@ -317,7 +317,8 @@ class TraceFile(TraceSink):
                     self._to_parquet(whole, check)
                 else:
                     self._to_matlab(whole)
-                return whole, _digest(whole, check)
+                check()
+                return whole, Location(whole).sha256
         except BaseException:
             whole.unlink(missing_ok=True)
             raise
@@ -412,32 +413,17 @@ def by_repr(rows: Array) -> bytes:
     return "".join([",".join(map(repr, row)) + "\n" for row in rows.tolist()]).encode()
 
 
-def _digest(path: Path, check: Callable[[], None]) -> str:
-    """SHA-256 of a file; `check` is called now and then."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(BLOCK):
-            check()
-            digest.update(block)
-    return digest.hexdigest()
-
-
 class _Rows:
-    """A CSV file: each value is the shortest decimal that is read back as the same float64.
-
-    end      time of the last row that is written [s]
-    sha256   of the partial file
-    """
+    """A CSV file: each value is the shortest decimal that is read back as the same float64."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        self._path, self._size, self._digest, self.end = path, 0, hashlib.sha256(), float("nan")
+        self._path, self._size, self._digest = path, 0, hashlib.sha256()
         self._file = path.open("wb", buffering=0)
         self._identity = os.fstat(self._file.fileno()).st_ino
         self._write(f"{csv_header([TIME, *names])}\n".encode())
 
     def append(self, times: Array, values: Array) -> None:
         self._write(rows_text(np.column_stack([times, values])))
-        self.end = float(times[-1]) if len(times) else self.end
 
     def _write(self, data: bytes) -> None:
         """Write all bytes or none."""

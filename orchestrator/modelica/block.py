@@ -135,9 +135,8 @@ class FmuBlock:
         """A call of a function of the FMU with the needed inputs."""
         inputs = [v for v in self.inputs if v.name in needed]
         values = _vector(self._expression(v) for v in inputs)
-        return (
-            f"Internal.{function}(fmu_instance, time, {states}{_references(inputs)},\n    {values}{unknowns})"
-        )
+        arguments = f"fmu_instance, time, {states}{_references(inputs)},\n    {values}{unknowns}"
+        return f"Internal.{function}({arguments})"
 
     def _inputs_among(self, dependencies: Iterable[frozenset[str] | None]) -> frozenset[str]:
         """The inputs among the dependencies of some unknowns; all inputs if dependencies are not declared."""
@@ -158,9 +157,8 @@ def fmu_block(
 ) -> FmuBlock:
     """The block of an FMU; raises Problem if the FMU cannot be a block.
 
-    component         the FMU, read for Model Exchange, with its own values
-    constant_inputs   inputs that have their start value if they are not connected
-    levers            inputs that have their start value unless a connection or a modifier gives another
+    component                 the FMU, read for Model Exchange, with its own values
+    constant_inputs, levers   as of `write_package`
     """
     interface, scope = component.interface, Scope()
     _check(f"{component.source}", interface)
@@ -184,13 +182,12 @@ def fmu_block(
 def _check(where: str, interface: FmuInterface) -> None:
     """Raise Problem for an FMU that the functions of the package cannot run."""
     version, complete = interface.model.major, interface.states or interface.stateless
+    needs_tool = interface.needs_execution_tool
     faults = {
         f"an FMU for Model Exchange in FMI 2.0, got FMI {version}.0": version != 2,
         "an FMU without event indicators, because state events are not supported": interface.event_indicators,
         "an FMU that can be instantiated twice per process": interface.one_per_process,
-        "an FMU that runs without the tool that made it, got needsExecutionTool": (
-            interface.needs_execution_tool
-        ),
+        "an FMU that runs without the tool that made it, got needsExecutionTool": needs_tool,
         "a variable for each continuous state and derivative, some are missing": not complete,
     }
     for expected in (text for text, found in faults.items() if found):
@@ -209,14 +206,11 @@ def _needed_signals(interface: FmuInterface) -> tuple[list[FmuVariable], list[Fm
     needed, and neither are outputs that depend on such rates.
     """
     inputs, declared = {v.name for v in interface.of("input")}, interface.dependencies
-    starts = [
-        interface.initial_dependencies.get(x)
-        for x in interface.states
-        if interface.variables[x].initial != "exact"
-    ]
-    dependencies = [*(declared.get(dx) for dx in interface.states.values()), *starts]
-    undeclared = None in dependencies
-    for_states = inputs if undeclared else inputs & {n for names in dependencies for n in names or ()}
+    started = [x for x in interface.states if interface.variables[x].initial != "exact"]
+    dependencies = [declared.get(dx) for dx in interface.states.values()]
+    dependencies += map(interface.initial_dependencies.get, started)
+    needed = {n for names in dependencies for n in names or ()}
+    for_states = inputs if None in dependencies else inputs & needed
     rates = set(interface.rate_inputs.values()) - for_states
     outputs = [y for y in interface.of("output") if not rates & (declared.get(y.name) or frozenset())]
     direct = [declared.get(y.name) for y in outputs]

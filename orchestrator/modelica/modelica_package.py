@@ -27,10 +27,9 @@ CHECKSUMS = "Resources/written.json"  # SHA-256 of each file of the package
 class PackageBlocks:
     """The blocks of a package; FMUs with the same model description share a block, which gets several names.
 
-    constant_inputs   inputs that have their start value if they are not connected
-    levers            inputs that have their start value unless a connection or a modifier gives another
-    blocks            by the bytes of modelDescription.xml
-    names             class name and block by the file name of the FMU
+    constant_inputs, levers   as of `write_package`
+    blocks                    by the bytes of modelDescription.xml
+    names                     class name and block by the file name of the FMU
     """
 
     constant_inputs: Collection[str]
@@ -52,9 +51,8 @@ class PackageBlocks:
         name = self.names[stem][0] if stem in self.names else self.classes.add(class_name(stem))
         if block is None:
             fmu = replace(component, name=stem, start={})
-            block = self.blocks[key] = fmu_block(
-                name, self._folder(stem), fmu, self.constant_inputs, self.levers
-            )
+            chosen = self.constant_inputs, self.levers
+            block = self.blocks[key] = fmu_block(name, self._folder(stem), fmu, *chosen)
         self.names[stem] = name, block
         return block
 
@@ -133,10 +131,8 @@ def _check_unchanged(folder: Path) -> None:
     try:
         checksums = json.loads((folder / CHECKSUMS).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
-        raise Problem(
-            f"{folder}: the folder exists, but is not a package that this command wrote: choose "
-            "another --out or --name"
-        ) from None
+        found = "the folder exists, but is not a package that this command wrote"
+        raise Problem(f"{folder}: {found}: choose another --out or --name") from None
     for path, checksum in _checksums(folder).items():
         if checksums.get(path) != checksum:
             change = "changed" if path in checksums else "added"
@@ -147,15 +143,14 @@ def _package(name: str, blocks: PackageBlocks, systems: Sequence[tuple[System, d
     connected = {c.source.variable for system, _ in systems for c in system.connections}
     fmus, scope = list(blocks.blocks.values()), Scope()
     internal = (TEMPLATES / "Internal.mo").read_text(encoding="utf-8")
+    wired = [(s, parts) for s, parts in systems if s.connections]
     return rendered(
         TEMPLATES / "package.mo.j2",
         name=name,
         blocks=fmus,
         aliases=blocks.aliases,
         models=[m for block in fmus if (m := model_with_flanges(block, connected))],
-        systems=[
-            ConnectedSystem(s, parts, scope.add(class_name(s.name))) for s, parts in systems if s.connections
-        ],
+        systems=[ConnectedSystem(s, parts, scope.add(class_name(s.name))) for s, parts in wired],
         flanges=(TEMPLATES / "Flanges.mo").read_text(encoding="utf-8"),
         internal=internal.replace("@PACKAGE@", name),
         attributes=attributes,
@@ -176,9 +171,8 @@ class ConnectedSystem:
 
     def __init__(self, system: System, blocks: Mapping[str, FmuBlock], name: str) -> None:
         self.system, self.name, self._blocks, self._scope = system, name, blocks, Scope()
+        self._connected = system.fed
         self._names = {component: self._scope.add(component) for component in system.components}
-        targets = [port for system_input in system.inputs.values() for port, _ in system_input.targets]
-        self._connected = {c.target for c in system.connections}.union(targets)
         self.declarations: list[str] = []
         self.equations: list[str] = []
         self._modifiers: dict[str, list[str]] = {component: [] for component in system.components}
@@ -255,9 +249,8 @@ class ConnectedSystem:
     def _declare(self, name: str, unit: str, value: float, v: FmuVariable) -> str:
         """Declare a variable of the model for the input `v`; returns its identifier."""
         identifier = self._scope.add(name)
-        self.declarations.append(
-            f"Real {identifier}{unit} = {number(value)} {quoted(v.description)} annotation(Dialog)"
-        )
+        start = f"{number(value)} {quoted(v.description)}"
+        self.declarations.append(f"Real {identifier}{unit} = {start} annotation(Dialog)")
         return identifier
 
     def _start(self, port: Port) -> float:

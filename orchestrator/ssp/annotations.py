@@ -1,37 +1,18 @@
 """Annotations of an SSP: suggested master and communication step, shared parameters; read and written.
 
-The SSP standard has no elements for master and step, so each tool has an annotation of its own. The
-annotation of this project, which other tools ignore, is
+The SSP standard has no elements for master and step, so each tool has an annotation of its own. Those of this
+project, which other tools ignore, have the type `harvester-cosim`; docs/coupling.md shows them:
 
-    <ssd:DefaultExperiment>
-      <ssd:Annotations>
-        <ssc:Annotation type="harvester-cosim">
-          <hc:Coupling xmlns:hc="urn:harvester-cosim:coupling" master="hermite" step="0.005" passes="2">
-            <hc:Factor component="arm" steps="4"/>
-          </hc:Coupling>
-        </ssc:Annotation>
-      </ssd:Annotations>
-    </ssd:DefaultExperiment>
+    Coupling          the attributes of `Coupling`, the communication step [s], and Factors of components
+    SharedParameter   a parameter that is one physical quantity in several components
+    CommonParameter   the same, if its components may have different values, which a note tells
 
-with the attributes of `Coupling` and the communication step [s]. Another annotation of the same type names
-parameters that are one physical quantity in several components:
+They may be in the default experiment, in the outermost System, or in the whole file. In other places, such as
+a nested file, they are ignored with a note.
 
-          <hc:SharedParameter xmlns:hc="urn:harvester-cosim:coupling" name="stroke">
-            <hc:Component name="arm"/>
-            <hc:Component name="cylinder"/>
-          </hc:SharedParameter>
-
-A `CommonParameter` is likewise one quantity, such as the density of the oil, but its components may have
-different values: a note tells them.
-
-All may also be annotations of the outermost System, or of the whole file. In other places, such as a nested
-file, they are ignored with a note.
-
-If a Coupling is missing, those of other tools are used. They are followed, or a run is refused until the
-user chooses a master or a step: a run with another step than that of the file could be taken for its result.
-
-    OMSimulator   org.openmodelica: FixedStepMaster, VariableStepMaster; Jacobi, held inputs
-    libcosim      com.opensimulationplatform: FixedStepAlgorithm, StepSizeHint; as before
+If a Coupling is missing, those of other tools are used: of OMSimulator and libcosim, whose masters are Jacobi
+masters. They are followed, or a run is refused until the user chooses a master or a step: a run with another
+step than that of the file could be taken for its result.
 """
 
 from __future__ import annotations
@@ -51,55 +32,37 @@ OWN, COUPLING, SHARED, COMMON = "harvester-cosim", "Coupling", "SharedParameter"
 PATHS = ("DefaultExperiment",), ("System",), ()  # elements with annotations, as paths from the root
 
 
-def read_suggestion(roots: Sequence[XmlElement], components: Iterable[str]) -> Suggestion:
-    """The suggestion in .ssd files for these components; roots: the outermost file first."""
-    elements = [e for e in _own_elements(roots[0]) if e.name == COUPLING]
-    if not elements:
-        return _suggestion_of_other_tools(roots)
-    if len(elements) > 1:
-        lines = ", ".join(str(e.element.sourceline) for e in elements)
+def read_annotations(
+    roots: Sequence[XmlElement], components: Collection[str]
+) -> tuple[Suggestion, dict[str, dict[str, tuple[str, ...]]], list[str]]:
+    """The suggestion, parameters that components share, of the kinds `SHARED` and `COMMON`, and notes.
+
+    roots   of the .ssd files of a system, the outermost one first
+    """
+    annotations = [a for path in PATHS for a in roots[0].children(*path, "Annotations", "Annotation")]
+    shared: dict[str, dict[str, tuple[str, ...]]] = {SHARED: {}, COMMON: {}}
+    couplings = list[XmlElement]()
+    for element in (e for a in annotations if a.get("type") == OWN for e in a.children()):
+        if element.name == COUPLING:
+            couplings.append(element)
+        elif element.name in shared:
+            shared[element.name][element.required("name")] = _sharing(element, components)
+        else:
+            raise element.problem(f"expected {COUPLING}, {SHARED}, {COMMON} in an annotation of type {OWN}")
+    if len(couplings) > 1:
+        lines = ", ".join(str(e.element.sourceline) for e in couplings)
         message = f"expected one Coupling in annotations of type {OWN}, got some in lines {lines}"
         raise Problem(f"{roots[0].file}: {message}")
-    (element,) = elements
-    choices = _attributes(element, ATTRIBUTES)
-    step = choices.pop("step", None)
-    if step is not None and not step > 0:
-        raise element.problem(f"expected a positive number of seconds for step, got {step:g}")
-    factors = _factors(element)
-    try:
-        coupling = Coupling(**choices, factors=factors)
-        coupling.check(components)
-    except Problem as problem:
-        raise element.problem(str(problem)) from None
-    return Suggestion(coupling, step, location=f"{element.location}: Coupling")
-
-
-def read_shared(root: XmlElement, components: Collection[str], kind: str) -> dict[str, tuple[str, ...]]:
-    """Parameter -> components that share it; root: the outermost file; kind: `SHARED` or `COMMON`."""
-    shared = dict[str, tuple[str, ...]]()
-    for element in _own_elements(root):
-        if element.name == kind:
-            names = tuple(e.required("name") for e in element.children("Component"))
-            if not names:
-                raise element.problem("expected at least one Component, got none")
-            for name in names:
-                if name not in components:
-                    expected = f"expected a component of the system, got {name!r}"
-                    raise element.problem(f"{expected}{suggest(name, components)}")
-            shared[element.required("name")] = names
-    return shared
-
-
-def ignored_annotations(roots: Sequence[XmlElement]) -> list[str]:
-    """Notes on annotations of this project in other places than `PATHS`, such as nested files."""
-    read = [e.element for path in PATHS for e in roots[0].children(*path, "Annotations", "Annotation")]
+    read = [a.element for a in annotations]
     reason = f"annotation of type {OWN}: left out, only one of the outermost system counts"
-    return [
+    notes = [
         f"{root.file}: line {e.sourceline}: {reason}"
         for root in roots
         for e in root.element.iter()
         if local_name(e) == "Annotation" and e.get("type") == OWN and e not in read
     ]
+    own = _suggestion(couplings[0], components) if couplings else None
+    return own or _suggestion_of_other_tools(roots), shared, notes
 
 
 # ---- annotation of this project ----------------------------------------------------------------------------
@@ -116,14 +79,29 @@ ATTRIBUTES: Mapping[str, Any] = SETTINGS | {"master": None, "step": float}
 FACTOR: Mapping[str, Any] = {"component": None, "steps": int}
 
 
-def _own_elements(root: XmlElement) -> Iterator[XmlElement]:
-    """The elements in annotations of this project."""
-    for path in PATHS:
-        for annotation in root.children(*path, "Annotations", "Annotation"):
-            for e in annotation.children() if annotation.get("type") == OWN else ():
-                if e.name not in (COUPLING, SHARED, COMMON):
-                    raise e.problem(f"expected {COUPLING}, {SHARED}, {COMMON} in an annotation of type {OWN}")
-                yield e
+def _suggestion(element: XmlElement, components: Collection[str]) -> Suggestion:
+    """The suggestion of a Coupling for these components."""
+    choices = _attributes(element, ATTRIBUTES)
+    step = choices.pop("step", None)
+    if step is not None and not step > 0:
+        raise element.problem(f"expected a positive number of seconds for step, got {step:g}")
+    factors = _factors(element)
+    try:
+        coupling = Coupling(**choices, factors=factors)
+        coupling.check(components)
+    except Problem as problem:
+        raise element.problem(str(problem)) from None
+    return Suggestion(coupling, step, location=f"{element.location}: Coupling")
+
+
+def _sharing(element: XmlElement, components: Collection[str]) -> tuple[str, ...]:
+    """The components that share a parameter."""
+    names = tuple(e.required("name") for e in element.children("Component"))
+    if not names:
+        raise element.problem("expected at least one Component, got none")
+    for name in (n for n in names if n not in components):
+        raise element.problem(f"expected a component of the system, got {name!r}{suggest(name, components)}")
+    return names
 
 
 def _factors(element: XmlElement) -> dict[str, int]:
@@ -134,8 +112,7 @@ def _factors(element: XmlElement) -> dict[str, int]:
             raise e.problem("expected Factor in a Coupling")
         attributes = _attributes(e, FACTOR)
         for name in FACTOR:
-            if name not in attributes:
-                raise e.problem(f"expected an attribute {name}, got none")
+            e.required(name)
         if (component := attributes["component"]) in factors:
             raise e.problem(f"component {component}: expected one Factor, got two")
         factors[component] = attributes["steps"]
@@ -160,8 +137,27 @@ def _attributes(element: XmlElement, types: Mapping[str, Any]) -> dict[str, Any]
 # ---- annotations of other tools ----------------------------------------------------------------------------
 
 SAME_STEP = 1e-9  # relative difference of two equal steps
-JACOBI = Coupling("jacobi")
 TOOLS = {"org.openmodelica": "OMSimulator", "com.opensimulationplatform": "libcosim"}  # by type of annotation
+# tool -> element -> what is known inside; there any other element may affect the run
+INSIDE: Mapping[str, Mapping[str, Sequence[str]]] = {
+    "OMSimulator": {
+        **dict.fromkeys(("Annotation", "Annotations"), ("Annotations", "SimulationInformation", "Buses")),
+        "SimulationInformation": ("FixedStepMaster", "VariableStepMaster", "VariableStepSolver"),
+    },
+    "libcosim": {
+        "Annotation": ("Algorithm", "StepSizeHint"),
+        "Algorithm": ("FixedStepAlgorithm",),
+        "FixedStepAlgorithm": (),  # StepSizes of components would be inside
+    },
+}
+# element -> attributes with its step [s], and limits and tolerance of an adaptive one
+STEPS = {
+    "FixedStepMaster": ("stepSize",),
+    "VariableStepMaster": ("initialStepSize", "minimumStepSize", "maximumStepSize", "relativeTolerance"),
+    "FixedStepAlgorithm": ("baseStepSize",),
+    "StepSizeHint": ("value",),  # of one component, here of all
+}
+RESULTS = ("name", "resultFile", "loggingInterval", "bufferSize", "signalFilter")  # of SimulationInformation
 
 
 def _suggestion_of_other_tools(roots: Iterable[XmlElement]) -> Suggestion:
@@ -175,9 +171,8 @@ def _suggestion_of_other_tools(roots: Iterable[XmlElement]) -> Suggestion:
                 raise Problem(f"{_requested(one)}, but {_requested(other)}")
     except Problem as problem:
         return Suggestion(refusal=str(problem))
-    if not found:
-        return Suggestion()
-    return replace(found[0], source=" and ".join(dict.fromkeys(s.source for s in found)))
+    sources = " and ".join(dict.fromkeys(s.source for s in found))
+    return replace(found[0], source=sources) if found else Suggestion()
 
 
 def _requested(found: Suggestion) -> str:
@@ -192,102 +187,43 @@ def _suggestions(root: XmlElement) -> Iterator[Suggestion]:
         element = XmlElement(root.file, raw)
         tool = TOOLS.get((element.get("type") or "").strip()) if element.name == "Annotation" else None
         if tool is not None:
-            yield from _elements(element, tool)
+            yield from _inside(element, tool)
 
 
-def _elements(parent: XmlElement, tool: str) -> Iterator[Suggestion]:
-    """The suggestions in an annotation; OMSimulator nests annotations."""
-    for e in parent.children():
-        if e.name == "Annotations":
-            yield from _elements(e, tool)
-        elif (reader := READERS_OF_TOOLS.get((tool, e.name))) is not None:
-            yield from reader(e, tool)
-        elif e.name != "Buses":
-            raise _unsupported(e, tool)
-
-
-def _of(tool: str, element: XmlElement, step: float, coupling: Coupling = JACOBI) -> Suggestion:
-    """Coupling and step [s] that one element of a tool's annotation requests."""
-    source = f"the annotation of {tool} in {element.file}"
-    return Suggestion(coupling, step, source=source, location=f"{element.location} ({tool})")
-
-
-def _refusal(element: XmlElement, reason: str) -> Problem:
-    return Problem(f"{element.location}: {reason}")
-
-
-def _unsupported(element: XmlElement, tool: str) -> Problem:
-    """An unknown element may affect the run, so it is not ignored."""
-    return _refusal(element, f"{element.name} of {tool} is not supported")
-
-
-def _step(element: XmlElement, name: str) -> float:
-    """A step [s]; the attribute is required."""
-    element.required(name)
-    value = element.number(name)
-    if not value > 0:
-        raise element.problem(f"expected a positive number of seconds for {name}, got {element.get(name)!r}")
-    return value
-
-
-def _algorithm(element: XmlElement, tool: str) -> Iterator[Suggestion]:
-    """Algorithm of libcosim: the element inside has the step."""
-    children = list(element.children())
-    if not children:
-        raise _refusal(element, f"{element.name} of {tool}: expected a FixedStepAlgorithm, got none")
+def _inside(parent: XmlElement, tool: str) -> Iterator[Suggestion]:
+    """The suggestions inside of an element of a tool's annotation."""
+    children = list(parent.children())
+    if parent.name == "Algorithm" and not children:
+        raise Problem(f"{parent.location}: Algorithm of {tool}: expected a FixedStepAlgorithm, got none")
     for e in children:
-        for unknown in (*([] if e.name == "FixedStepAlgorithm" else [e]), *e.children()):
-            raise _unsupported(unknown, tool)
-        yield _of(tool, e, _step(e, "baseStepSize"))
+        if e.name not in INSIDE[tool][parent.name]:
+            raise Problem(f"{e.location}: {e.name} of {tool} is not supported")
+        if e.name == "SimulationInformation":
+            for name in (n for n in e.attributes if n not in RESULTS):  # it may be a step, or a solver
+                raise Problem(f"{e.location}: attribute {name} of {e.name} ({tool}) is not supported")
+        if e.name == "VariableStepSolver":
+            request = f"{e.name} of {tool} requests Model Exchange ({e.get('description') or e.name})"
+            raise Problem(f"{e.location}: {request}, expected Co-Simulation")
+        if e.name in STEPS:
+            yield _suggested(e, tool)
+        if e.name in INSIDE[tool]:
+            yield from _inside(e, tool)
 
 
-def _step_size_hint(element: XmlElement, tool: str) -> Iterator[Suggestion]:
-    """StepSizeHint of libcosim: the step of one component, here of all."""
-    yield _of(tool, element, _step(element, "value"))
-
-
-VARIABLE = ("initialStepSize", "minimumStepSize", "maximumStepSize", "relativeTolerance")
-RESULTS = ("name", "resultFile", "loggingInterval", "bufferSize", "signalFilter")
-
-
-def _simulation_information(element: XmlElement, tool: str) -> Iterator[Suggestion]:
-    """SimulationInformation of OMSimulator: a child element is the master."""
-    for name in element.attributes:  # another one may be a step, or a solver
-        if name not in RESULTS:
-            raise _refusal(element, f"attribute {name} of {element.name} ({tool}) is not supported")
-    for e in element.children():
-        if e.name == "FixedStepMaster":
-            yield _of(tool, e, _step(e, "stepSize"))
-        elif e.name == "VariableStepMaster":
-            yield _variable_step(e, tool)
-        elif e.name == "VariableStepSolver":
-            method = e.get("description") or e.name
-            request = f"{e.name} of {tool} requests Model Exchange ({method})"
-            raise _refusal(e, f"{request}, expected Co-Simulation")
-        else:
-            raise _unsupported(e, tool)
-
-
-def _variable_step(element: XmlElement, tool: str) -> Suggestion:
-    """A master with adaptive steps; the nearest one of this project has the same tolerance and limits."""
-    for name in VARIABLE:
-        element.required(name)
-    first, smallest, largest, tolerance = map(element.number, VARIABLE)
-    if not first > 0:
-        message = f"initialStepSize: expected a positive number of seconds, got {first:g}"
-        raise _refusal(element, message)
+def _suggested(element: XmlElement, tool: str) -> Suggestion:
+    """Coupling and step [s] that one element requests; the nearest ones of this project."""
+    for attribute in STEPS[element.name]:
+        element.required(attribute)
+    name, (step, *limits) = STEPS[element.name][0], map(element.number, STEPS[element.name])
+    if not step > 0:
+        raise element.problem(f"expected a positive number of seconds for {name}, got {element.get(name)!r}")
+    smallest, largest, tolerance = limits or (None, None, None)
     try:
         coupling = Coupling("jacobi", adaptive=tolerance, smallest=smallest or None, largest=largest)
     except Problem as problem:
         raise element.problem(str(problem)) from None
-    return _of(tool, element, first, coupling)
-
-
-READERS_OF_TOOLS: Mapping[tuple[str, str], Callable[[XmlElement, str], Iterator[Suggestion]]] = {
-    ("OMSimulator", "SimulationInformation"): _simulation_information,
-    ("libcosim", "Algorithm"): _algorithm,
-    ("libcosim", "StepSizeHint"): _step_size_hint,
-}
+    source = f"the annotation of {tool} in {element.file}"
+    return Suggestion(coupling, step, source=source, location=f"{element.location} ({tool})")
 
 
 # ---- writing -----------------------------------------------------------------------------------------------

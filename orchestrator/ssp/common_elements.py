@@ -90,13 +90,10 @@ class Transformation(NamedTuple):
 
     def between(self, source: Items, target: Items, where: str) -> LinearTransformation:
         """The map between two connectors with these enumerations."""
-        for name, items in (
-            end for names in self.names.items() for end in zip(names, (source, target), strict=True)
-        ):
-            if name not in items:
-                raise Problem(
-                    f"{where}: expected one of the items {', '.join(items) or 'none'}, got {name!r}"
-                )
+        for names, items in ((self.names, source), (self.names.values(), target)):
+            for name in (name for name in names if name not in items):
+                expected = f"expected one of the items {', '.join(items) or 'none'}"
+                raise Problem(f"{where}: {expected}, got {name!r}")
         table = ((float(source[a]), float(target[b])) for a, b in self.names.items())
         return replace(self.linear, table=tuple(sorted(table))) if self.names else self.linear
 

@@ -81,14 +81,11 @@ class Coupling:
         for name, value in (("passes", self.passes), ("coupling tolerance", self.tolerance)):
             if value is not None and not self.method.repeats:
                 able = ", ".join(m.name for m in MASTERS.values() if m.repeats)
-                raise Problem(
-                    f"{name}: expected the master {able}, which repeats steps, got {self.method.name}"
-                )
+                got = f"got {self.method.name}"
+                raise Problem(f"{name}: expected the master {able}, which repeats steps, {got}")
         if self.tolerance is not None and self.passes == 1:
-            raise Problem(
-                "coupling tolerance: expected at least 2 passes, got 1: the tolerance ends the "
-                "passes of a step"
-            )
+            reason = "the tolerance ends the passes of a step"
+            raise Problem(f"coupling tolerance: expected at least 2 passes, got 1: {reason}")
         if self.guard is not None and self.adaptive is not None:
             raise Problem("guard: expected equal steps, got adaptive ones, which have their own tolerance")
         for name in ("order", "factors", "adaptive", "guard") if self.method.step else ():

@@ -109,12 +109,11 @@ def influential_inputs(system: System) -> frozenset[Port]:
     }
     while True:
         sources = {c.source for c in system.connections if c.target in found}
-        through = {
-            Port(y.component, u) for y in sources for u in interfaces[y.component].direct_inputs(y.variable)
-        }
-        if through & candidates <= found:
+        direct = ((y.component, interfaces[y.component].direct_inputs(y.variable)) for y in sources)
+        new = {Port(name, u) for name, inputs in direct for u in inputs} & candidates - found
+        if not new:
             return frozenset(found)
-        found |= through & candidates
+        found |= new
 
 
 def uses_events(system: System, coupling: "Coupling") -> bool:
@@ -196,10 +195,8 @@ def late_effects(system: System, coupling: "Coupling") -> str:
         declare = _declaring(system)
         wires = [c for c in wires if c.source.component not in declare]
     held = [c for c in wires if not system.is_continuous(c)]
-    events = [
-        f"events of {c.source.component}" for c in wires if c not in held and c.source.component in having
-    ]
-    return first_names([*events, *(str(c.source) for c in held)])
+    events = (c.source.component for c in wires if c not in held and c.source.component in having)
+    return first_names([*(f"events of {name}" for name in events), *(str(c.source) for c in held)])
 
 
 @of_structure
@@ -225,13 +222,11 @@ def output_order(system: System, driven: Collection[Port] = ()) -> OutputOrder:
             continue
         if cycle.discrete:
             kind = system.variable(cycle.discrete).kind
-            raise Problem(
-                f"{cycle.text}: expected Real signals, to be solved for, got {kind} {cycle.discrete}"
-            )
+            expected = "expected Real signals, to be solved for"
+            raise Problem(f"{cycle.text}: {expected}, got {kind} {cycle.discrete}")
         if cycle.rounds > 1:
-            notes.append(
-                f"{cycle.text}; its signals that are not Real are read {cycle.rounds} times per step"
-            )
+            often = f"read {cycle.rounds} times per step"
+            notes.append(f"{cycle.text}; its signals that are not Real are {often}")
         cycles += [(cycle, cycle_stages)] if cycle.connections else []
     return OutputOrder(stages, tuple(notes), tuple(cycles))
 

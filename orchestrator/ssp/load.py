@@ -16,20 +16,12 @@ from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.text import grouped
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import Value
-from orchestrator.ssp.annotations import COMMON, SHARED, ignored_annotations, read_shared, read_suggestion
+from orchestrator.ssp.annotations import COMMON, SHARED, read_annotations
 from orchestrator.ssp.common_elements import Transformation
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import bound_values, with_sets
 from orchestrator.ssp.swap import with_swaps
-from orchestrator.ssp.system import (
-    Connection,
-    Inlet,
-    Outlet,
-    Port,
-    System,
-    check_connection,
-    open_component,
-)
+from orchestrator.ssp.system import Connection, Inlet, Outlet, Port, System, check_connection, open_component
 from orchestrator.ssp.system_structure import (
     DEFINITION,
     SINKS,
@@ -87,19 +79,18 @@ def _single_fmu(fmu: Location) -> System:
 
 def _load_ssd(ssd: Location) -> System:
     flat = read_structure(ssd)
-    suggestion = read_suggestion(flat.roots, flat.sources)
-    shared, common = (read_shared(flat.roots[0], flat.sources, kind) for kind in (SHARED, COMMON))
-    flat.notes += ignored_annotations(flat.roots)
+    suggestion, sharing, notes = read_annotations(flat.roots, flat.sources)
+    flat.notes += notes
     components = {name: open_component(name, fmu, flat.kinds[name]) for name, fmu in flat.sources.items()}
     try:
-        system = System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd, shared=shared)
-        system = _connected(flat, replace(system, common=common))
+        system = System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd, suggestion=suggestion)
+        system = _connected(flat, replace(system, shared=sharing[SHARED], common=sharing[COMMON]))
         system.check_sharing()
     except Problem as problem:
         raise Problem(f"{ssd}: {str(problem).removeprefix(f'{ssd}: ')}") from None
     if not components:
         raise Problem(f"{ssd}: the system has no components: expected at least one FMU")
-    return replace(system, suggestion=suggestion)
+    return system
 
 
 def _connected(flat: FlatStructure, system: System) -> System:
@@ -136,14 +127,9 @@ def _connected(flat: FlatStructure, system: System) -> System:
         else:
             unit = flat.declared(target).unit or system.variable(source).unit
             outputs[target.variable] = Outlet(target.variable, unit, source, linear)
-    return replace(
-        system,
-        components={name: replace(c, start=start[name]) for name, c in system.components.items()},
-        connections=tuple(connections),
-        inputs={name: replace(inlet, start=start[""].get(name)) for name, inlet in inputs.items()},
-        outputs=outputs,
-        notes=tuple(dict.fromkeys([*notes, *_driven_parameters(system, connections)])),
-    )
+    told = tuple(dict.fromkeys([*notes, *_driven_parameters(system, connections)]))
+    wired = replace(system, connections=tuple(connections), outputs=outputs, notes=told)
+    return wired.started(start, origin="")
 
 
 def _driven_parameters(system: System, connections: Iterable[Connection]) -> Iterator[str]:
@@ -166,10 +152,8 @@ def _inlet(
     units = {v.unit for v in variables}
     unit = declared.unit or (units.pop() if len(units) == 1 else None)
     if unit is None and len(units) > 1:
-        fed = ", ".join(
-            f"{p} {f'in {v.unit}' if v.unit else 'without one'}"
-            for (p, _), v in zip(targets, variables, strict=True)
-        )
+        ends = zip(targets, variables, strict=True)
+        fed = ", ".join(f"{p} {f'in {v.unit}' if v.unit else 'without one'}" for (p, _), v in ends)
         notes.append(f"input {connector.variable} has no unit: the same number goes to {fed}")
     if unit and any(v.unit and v.unit.relative for v in variables):
         unit = replace(unit, relative=True)

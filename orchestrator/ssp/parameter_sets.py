@@ -5,6 +5,7 @@ A user can select further parameter sets, such as poses: by name from the SSP, o
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.description import KINDS, TYPES, Value
 from orchestrator.ssp.common_elements import read_transformation, read_units
 from orchestrator.ssp.swap import missing_after_swap
-from orchestrator.ssp.system import Port, System, check_bounds, check_settable, coerce
+from orchestrator.ssp.system import Port, System, coerce
 from orchestrator.ssp.system_structure import ParameterBinding, SignalPaths
 
 SET, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
@@ -208,37 +209,31 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
             start: dict[str, dict[str, Value]] = {name: {} for name in ["", *system.components]}
             for value in part.values():
                 array = system.array(value.name)
-                for each in [v for _, v in value.of_elements(array[1])] if array else [value]:
-                    for port, converted in _converted(system, file, each, notes):
-                        start[port.component][port.variable] = converted
+                try:
+                    for each in [v for _, v in value.of_elements(array[1])] if array else [value]:
+                        read = partial(_read, each, f"{file}: parameter {each.name}", notes)
+                        for port, converted in system.assigned(each.name, each.text, read):
+                            start[port.component][port.variable] = converted
+                except Problem as problem:
+                    raise Problem(f"{file}: {str(problem).removeprefix(f'{file}: ')}") from None
             system = system.started(start, str(chosen))
         left = [f"{file}: {name} is left out: {missing[name]}" for name in values if name in missing]
         system = system.noted(*notes, *left)
     return system
 
 
-def _converted(
-    system: System, file: Location, value: ParameterValue, notes: list[str]
-) -> Iterator[tuple[Port, Value]]:
-    """The variables that a value of a set refers to, each with the value in its unit."""
-    context = f"{file}: parameter {value.name}"
-    try:
-        targets = system.targets(value.name)
-    except Problem as problem:
-        raise Problem(f"{file}: {problem}") from None
+def _read(
+    value: ParameterValue,
+    context: str,
+    notes: list[str],
+    given: Value | str,
+    _: Port,
+    unit: DeclaredUnit | None,
+) -> tuple[Value | str, LinearTransformation]:
+    """A value of a set, and the map to a unit."""
     if value.fault:
         raise Problem(value.fault)
-    inlet = system.inputs.get(value.name)
-    text = str(inlet.number(value.text)) if inlet else value.text
-    if inlet and system.passed(value.name):
-        port, to_unit = Port("", value.name), value.map_to(inlet.unit, context, notes)
-        yield port, coerce(context, system.variable(port), text, to_unit)
-    for port, linear in targets:
-        check_settable(port, system.components[port.component].interface)
-        first = value.map_to(inlet.unit if inlet else system.unit(port), context, notes)
-        converted = coerce(context, system.variable(port), text, first.then(linear))
-        check_bounds(f"{file}: {port}", system.variable(port), converted)
-        yield port, converted
+    return given, value.map_to(unit, context, notes)
 
 
 def _file(system: System, chosen: str | Path) -> Location:
@@ -249,10 +244,8 @@ def _file(system: System, chosen: str | Path) -> Location:
     if str(chosen) not in sets:
         home = system.source.parent if system.source and system.source.members else system.source
         contents = f"{home or system.name} contains {', '.join(sets) or 'none'}"
-        raise Problem(
-            f"parameter set {str(chosen)!r} is unknown{suggest(str(chosen), sets)}; {contents};"
-            f" a file name ends in {SUFFIX}"
-        )
+        unknown = f"parameter set {str(chosen)!r} is unknown{suggest(str(chosen), sets)}"
+        raise Problem(f"{unknown}; {contents}; a file name ends in {SUFFIX}")
     return sets[str(chosen)]
 
 

@@ -5,7 +5,6 @@ Bonds are found from the units of the signals; effort and flow are those of bond
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -65,16 +64,13 @@ def find_bonds(system: System) -> Sequence[Bond]:
         for flow in between.get((effort.target.component, effort.source.component), ())
         if (of[effort], of[flow]) in PAIRS and _opposite(effort, flow)
     ]
-    of_input = defaultdict[Port, list[_Candidate]](list)
-    for candidate in candidates:
-        for port in candidate.inputs:
-            of_input[port].append(candidate)
+    of_input = grouped(((port, c) for c in candidates for port in c.inputs), lambda pair: pair[0])
     bonds, used = [], set[Port]()
     for candidate in sorted(candidates, key=lambda c: -len(c.prefix)):
         rivals = [
             c
             for port in candidate.inputs
-            for c in of_input[port]
+            for _, c in of_input[port]
             if (c.effort is candidate.effort) != (c.flow is candidate.flow)
             and len(c.prefix) >= len(candidate.prefix)
         ]
@@ -109,10 +105,8 @@ def _bond(system: System, candidate: _Candidate) -> Bond:
 
 
 def _opposite(effort: Connection, flow: Connection) -> bool:
-    return (
-        effort.source.component == flow.target.component != effort.target.component
-        and flow.source.component == effort.target.component
-    )
+    one, other = effort.source.component, effort.target.component
+    return one != other and (flow.source.component, flow.target.component) == (other, one)
 
 
 def _dimension(system: System, c: Connection) -> tuple[int, ...] | None:

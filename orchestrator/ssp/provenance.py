@@ -7,7 +7,9 @@ in its modelDescription.xml, see `ParameterSetFile`. A system knows the values t
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -75,9 +77,8 @@ def provenance(system: System, files: Sequence[str | Path | Location] = ()) -> P
     own = [Location(system.source.path)] if system.source else []
     others = [file if isinstance(file, Location) else Location(Path(file)) for file in files]
     built = {s.file: s.sha256 for c in system.components.values() for s in c.interface.model.parameter_sets}
-    return Provenance(
-        fmus, {str(f): checksum(f) for f in [*own, *others]} | built, tuple(other_values(system))
-    )
+    sums = {str(file): checksum(file) for file in (*own, *others)}
+    return Provenance(fmus, sums | built, tuple(other_values(system)))
 
 
 def other_values(system: System) -> Iterator[OtherValue]:
@@ -107,29 +108,20 @@ def _built(component: Component) -> dict[str, tuple[Value, str]]:
     result: dict[str, tuple[Value, str]] = {}
     for parameter_set in component.interface.model.parameter_sets:
         for name, text in parameter_set.shipped.items():
-            variable = component.interface.variables.get(name)
-            if variable is None:
-                continue
-            try:
-                result[name] = coerce(name, variable, text), parameter_set.file
-            except Problem:  # an annotation that another tool has changed
-                continue
+            if variable := component.interface.variables.get(name):
+                with suppress(Problem):  # an annotation that another tool has changed
+                    result[name] = coerce(name, variable, text), parameter_set.file
     return result
 
 
 def built_notes(system: System) -> tuple[str, ...]:
     """A line for each file of parameters that FMUs of the system were built with."""
-    counts: dict[str, int] = {}
-    for component in system.components.values():
-        for _, file in _built(component).values():
-            counts[file] = counts.get(file, 0) + 1
+    counts = Counter(file for c in system.components.values() for _, file in _built(c).values())
     home = system.source.path if system.source else system.name
     verb = f"{home} was" if len(system.components) == 1 else f"the FMUs in {home} were"
-    return tuple(
-        f"{verb} built with {file}: {count} parameter{'s differ' if count > 1 else ' differs'} from the"
-        " shipped ones; harvester parameters shows them"
-        for file, count in counts.items()
-    )
+    differ = ((file, f"{n} parameter{'s differ' if n > 1 else ' differs'}") for file, n in counts.items())
+    told = "from the shipped ones; harvester parameters shows them"
+    return tuple(f"{verb} built with {file}: {number} {told}" for file, number in differ)
 
 
 def chosen_note(system: System) -> str:

@@ -27,14 +27,7 @@ from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.power_bonds import find_bonds
-from orchestrator.ssp.system import (
-    Component,
-    Connection,
-    Port,
-    System,
-    coerce,
-    open_component,
-)
+from orchestrator.ssp.system import Component, Connection, Port, System, coerce, open_component
 
 SUFFIX, MAKE = ".fmu", "harvester build"
 
@@ -72,21 +65,18 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
     if any(mark in str(chosen) for mark in "/\\,"):
         raise Problem(f"{context}: expected the name of a variant or a path that ends in {SUFFIX}")
     if system_file is None:
-        raise Problem(
-            f"{context}: expected a path to an .fmu: the system has no file and no folder of variants"
-        )
+        got = "the system has no file and no folder of variants"
+        raise Problem(f"{context}: expected a path to an .fmu: {got}")
     folder, prefix = system_file.path.parent / VARIANTS, f"{component.rpartition('.')[2]}_"
     file = folder / f"{prefix}{chosen}{SUFFIX}"
     if file.is_file():
         return Location(file)
     names = sorted(p.stem.removeprefix(prefix) for p in folder.glob(f"{prefix}*{SUFFIX}"))
     variants = (
-        (f"variants of {component}: {', '.join(names)}") if names else f"there is no variant of {component}"
+        f"variants of {component}: {', '.join(names)}" if names else f"there is no variant of {component}"
     )
-    raise Problem(
-        f"{context}: no file {file}; {variants}; {MAKE} builds all variants; the path of another FMU "
-        f"ends in {SUFFIX}"
-    )
+    hint = f"{MAKE} builds all variants; the path of another FMU ends in {SUFFIX}"
+    raise Problem(f"{context}: no file {file}; {variants}; {hint}")
 
 
 def _swap(system: System, name: str, file: Location) -> tuple[System, list[LostSignal]]:
@@ -104,12 +94,11 @@ def _swap(system: System, name: str, file: Location) -> tuple[System, list[LostS
         unit = variables[port.variable].unit
         back[port] = conversion(unit, use.unit, f"{port} in {new.source}", notes)
         forth[port] = conversion(use.unit, unit, port.variable)
-    without_unit = {
-        p.variable: use for p, use in needed.items() if use.unit and not variables[p.variable].unit
-    }
-    assumed = {n: replace(variables[n], unit=use.unit) for n, use in without_unit.items()}
+    units = {p.variable: use.unit for p, use in needed.items() if use.unit}
+    without_unit = [n for n in units if not variables[n].unit]
+    assumed = {n: replace(variables[n], unit=units[n]) for n in without_unit}
     interface = replace(new.interface, variables={**variables, **assumed})
-    start, start_notes = _start_values(old, new)
+    start, missing, fixed = _start_values(old, new)
     origins = {n: origin for n, origin in old.origins.items() if n in start}
     replaced = old.replaced or old.interface
     component = replace(new, interface=interface, start=start, replaced=replaced, origins=origins)
@@ -124,14 +113,15 @@ def _swap(system: System, name: str, file: Location) -> tuple[System, list[LostS
         for i in system.inputs.values()
     )
     outlets = (replace(o, map=back.get(o.source, IDENTITY).then(o.map)) for o in system.outputs.values())
-    told = _notes(old, new, unused, _lost_rates(system, used, dropped), list(without_unit))
+    rates = _lost_rates(system, used, dropped)
+    told = _notes(old, new, unused, rates, without_unit, missing, fixed)
     swapped = replace(
         system,
         components={**system.components, name: component},
         connections=tuple(connections),
         inputs={i.name: i for i in inlets},
         outputs={o.name: o for o in outlets},
-    ).noted(f"{name} is swapped: {interface.identifier} ({file})", *told, *notes, *start_notes)
+    ).noted(f"{name} is swapped: {interface.identifier} ({file})", *told, *notes)
     return swapped, [
         LostSignal(new, n, tuple(port for port, t in used[n].meanings.items() if t == text), text)
         for n in dropped
@@ -314,41 +304,43 @@ def _users(system: System, inputs: Iterable[Port]) -> Iterator[str]:
         declared = interface.stateless or (rates and None not in rates)
         if not declared or any(name in known for known in rates if known):
             yield port.component
-        todo += (
-            c.target
-            for c in system.connections
-            if c.source.component == port.component and name in interface.direct_inputs(c.source.variable)
-        )
+        outgoing = (c for c in system.connections if c.source.component == port.component)
+        todo += (c.target for c in outgoing if name in interface.direct_inputs(c.source.variable))
 
 
 def _notes(
-    old: Component, new: Component, unused: list[str], rates: list[str], without_unit: list[str]
+    old: Component,
+    new: Component,
+    unused: list[str],
+    rates: list[str],
+    without_unit: list[str],
+    missing: list[str],
+    fixed: list[str],
 ) -> Iterator[str]:
-    if unused:
-        yield f"{new.source} has no {first_names(unused)}: it does not use what the system would send there"
-    if rates:
-        yield (
-            f"{new.source} has no {first_names(rates)}: without these rates inputs are held during a step,"
-            " which reduces the accuracy"
-        )
-    if without_unit:
-        names = first_names(without_unit)
-        yield f"{new.source} declares no unit for {names}: that of the replaced FMU is used"
+    """Notes on inputs, and on start values that the new FMU lacks, or computes itself."""
+    variables = old.interface.variables
+    additional = [v.name for v in new.interface.of("input") if v.name not in variables]
     converted = [
         f"{v.name} in {v.unit}, not {before.unit}"
         for v in new.interface.variables.values()
-        if (before := old.interface.variables.get(v.name)) and v.unit and before.unit
+        if (before := variables.get(v.name)) and v.unit and before.unit
         if v.causality == before.causality and (v.settable or v.causality == "output")
         if _differ(before.unit, v.unit)
     ]
-    additional = [v.name for v in new.interface.of("input") if v.name not in old.interface.variables]
-    if additional:
-        yield f"{new.source} has additional inputs, which are not connected: {first_names(additional)}"
-    if converted:
-        yield (
-            f"{new.source} has other units, which are converted: {first_names(converted)}; values "
-            "that you set keep the unit of the replaced FMU"
-        )
+    held = "without these rates inputs are held during a step, which reduces the accuracy"
+    without = "the start values in the system are not used"
+    keep = "values that you set keep the unit of the replaced FMU"
+    for names, text in (
+        (unused, "has no {}: it does not use what the system would send there"),
+        (rates, f"has no {{}}: {held}"),
+        (without_unit, "declares no unit for {}: that of the replaced FMU is used"),
+        (missing, f"has no {{}}: {without}"),
+        (fixed, f"computes {{}} itself: {without}"),
+        (additional, "has additional inputs, which are not connected: {}"),
+        (converted, f"has other units, which are converted: {{}}; {keep}"),
+    ):
+        if names:
+            yield f"{new.source} {text.format(first_names(names))}"
 
 
 def _differ(old: DeclaredUnit, new: DeclaredUnit) -> bool:
@@ -356,10 +348,9 @@ def _differ(old: DeclaredUnit, new: DeclaredUnit) -> bool:
     return old.dimension == new.dimension is not None and conversion(old, new, "") != IDENTITY
 
 
-def _start_values(old: Component, new: Component) -> tuple[dict[str, Value], list[str]]:
-    """The start values in the units of the new FMU, and notes on those that it does not accept."""
-    start: dict[str, Value] = {}
-    missing, fixed = list[str](), list[str]()
+def _start_values(old: Component, new: Component) -> tuple[dict[str, Value], list[str], list[str]]:
+    """Start values in the units of the new FMU; those that it lacks, and those that it computes itself."""
+    start, missing, fixed = dict[str, Value](), list[str](), list[str]()
     for name, value in old.start.items():
         variable = new.interface.variables.get(name)
         if variable is None:
@@ -370,16 +361,7 @@ def _start_values(old: Component, new: Component) -> tuple[dict[str, Value], lis
             context = f"{new.name}: {new.source}: start value of {name}"
             linear = conversion(old.interface.variables[name].unit, variable.unit, context)
             start[name] = coerce(context, variable, value, linear)
-    notes = []
-    if missing:
-        notes.append(
-            f"{new.source} has no {first_names(missing)}: the start values in the system are not used"
-        )
-    if fixed:
-        notes.append(
-            f"{new.source} computes {first_names(fixed)} itself: the start values in the system are not used"
-        )
-    return start, notes
+    return start, missing, fixed
 
 
 def missing_after_swap(system: System) -> Mapping[str, str]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -36,6 +36,10 @@ WRITTEN = 1e-6  # relative difference of equal values that tools have written wi
 RESOURCES = "resources"  # folder of an SSP
 SOURCES = ("output", "calculatedParameter")  # causalities at the first end of a connection
 TARGETS = ("input", "parameter")  # at its second end
+# a given value, the port it sets, the unit of user values -> the value without its unit, and the map to that
+ReadValue: TypeAlias = (
+    "Callable[[Value | str, Port, DeclaredUnit | None], tuple[Value | str, LinearTransformation]]"
+)
 
 
 class Port(NamedTuple):
@@ -239,11 +243,8 @@ class System:
         """
         port = self.find(name)
         if port is None:
-            suggestion = (
-                suggest(name, [*others, *self.names()])
-                or f"; expected one of {', '.join(self.components)}, a dot and a name"
-            )
-            raise Problem(f"unknown variable {name!r}{suggestion}")
+            hint = f"; expected one of {', '.join(self.components)}, a dot and a name"
+            raise Problem(f"unknown variable {name!r}{suggest(name, [*others, *self.names()]) or hint}")
         return port
 
     def find(self, name: str) -> Port | None:
@@ -292,9 +293,7 @@ class System:
             return None
         (one, sources), (other, targets) = (end or ((), []) for end in ends)
         if one != other:
-            got = " and ".join(
-                f"({', '.join(map(str, shape))})" if shape else "a scalar" for shape in (one, other)
-            )
+            got = " and ".join(f"({', '.join(map(str, s))})" if s else "a scalar" for s in (one, other))
             raise Problem(f"{source} -> {target}: expected equal shapes, got {got}")
         return [*zip(sources, targets, strict=True)]
 
@@ -322,9 +321,8 @@ class System:
             return port.component, array.name if array else port.variable
 
         kept = list[Connection]()
-        for (source, target), wires in grouped(
-            self.connections, lambda c: (end(c.source), end(c.target))
-        ).items():
+        groups = grouped(self.connections, lambda c: (end(c.source), end(c.target)))
+        for (source, target), wires in groups.items():
             if source not in changed and target not in changed:
                 kept += wires
                 continue
@@ -340,9 +338,8 @@ class System:
                 continue
             kept += [Connection(*pair, wires[0].map) for pair in self.pairs(*map(str, names)) or ()]
         inlets = {n: i for n, i in self.inputs.items() if all(self.find(str(p)) for p, _ in i.targets)}
-        outlets = {
-            n: o for n, o in self.outputs.items() if not o.source.component or self.find(str(o.source))
-        }
+        read = {n: o.source for n, o in self.outputs.items()}
+        outlets = {n: self.outputs[n] for n, p in read.items() if not p.component or self.find(str(p))}
         return replace(self, connections=tuple(kept), inputs=inlets, outputs=outlets)
 
     def check_sizes(self, driven: Iterable[Port]) -> None:
@@ -389,9 +386,8 @@ class System:
             for component in components:
                 if Port(component, name) not in self.sharing(name):
                     expected = f"expected a numeric parameter with a start value in {component}"
-                    raise Problem(
-                        f"shared parameter {name}: {expected}, got {self._instead(component, name)}"
-                    )
+                    got = self._instead(component, name)
+                    raise Problem(f"shared parameter {name}: {expected}, got {got}")
 
     def _instead(self, component: str, name: str) -> str:
         """What a component has under a name, in words."""
@@ -432,11 +428,7 @@ class System:
 
     def has(self, name: str) -> bool:
         """Does `targets` accept this name? Faster than `targets`, which searches for similar names."""
-        return (
-            name in self.inputs
-            or self.find(name) is not None
-            or bool(self.sharing(name) or self._inputs(name))
-        )
+        return bool(name in self.inputs or self.find(name) or self.sharing(name) or self._inputs(name))
 
     def names(self) -> list[str]:
         """All `component.variable` names."""
@@ -463,9 +455,14 @@ class System:
         return {str(port): self.variable(port).nominal for port in self.ports("output")}
 
     @property
+    def fed(self) -> Set[Port]:
+        """The ports that have a source: an output of a component, or an input of the system."""
+        return {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
+
+    @property
     def open(self) -> Mapping[str, Inlet]:
         """Component inputs that have no source, by variable name."""
-        fed = {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
+        fed = self.fed
         unfed = [p for p in self.ports("input") if p not in fed and self.variable(p).is_number]
         return {
             name: Inlet(name, self.unit(ports[0]), tuple((p, self._conversion(p)) for p in ports))
@@ -517,22 +514,10 @@ class System:
         start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
         replaced: list[Connection] = []
         for name, given in self.by_element(values):
-            given = self.inputs[name].number(given) if name in self.inputs else given
-            if self.passed(name):
-                value, to_unit = self._without_unit(name, port := Port("", name), given)
-                start[""][name] = coerce(name, self.variable(port), value, to_unit)
-            for port, linear in self.targets(name):
-                held = port.variable in self.components[port.component].interface.model.held_inputs
-                if port in connected and held:
+            for port, value in self.assigned(name, given, partial(self._without_unit, name, connected)):
+                start[port.component][port.variable] = value
+                if port in connected:
                     replaced.append(connected[port])
-                elif port in connected:
-                    reason = f"the input is connected ({connected[port]})"
-                    raise Problem(f"{name} cannot be set: {reason}; --cut {port} removes the connection")
-                check_settable(port, self.components[port.component].interface)
-                value, to_unit = self._without_unit(name, port, given)
-                converted = coerce(str(port), self.variable(port), value, to_unit.then(linear))
-                check_bounds(str(port), self.variable(port), converted)
-                start[port.component][port.variable] = converted
         notes = tuple(f"{c.target} is set, which replaces its connection from {c.source}" for c in replaced)
         kept = tuple(c for c in self.connections if c not in replaced)
         system = replace(self.started(start, origin), connections=kept, notes=self.notes + notes)
@@ -555,15 +540,42 @@ class System:
         sizes = {n for n, p in ports.items() if p and self.variable(p).causality == "structuralParameter"}
         return {n: values[n] for n in values if n in sizes}, {n: values[n] for n in values if n not in sizes}
 
+    def assigned(self, name: str, given: Value | str, read: ReadValue) -> Iterator[tuple[Port, Value]]:
+        """The ports that a name sets, see `targets`, each with a value in its unit and type.
+
+        read   gives the value for a port without its unit, and the map to the unit of a user's values
+        """
+        inlet = self.inputs.get(name)
+        given = inlet.number(given) if inlet else given
+        if inlet and self.passed(name):
+            port = Port("", name)
+            yield port, coerce(name, self.variable(port), *read(given, port, inlet.unit))
+        for port, linear in self.targets(name):
+            variable = self.variable(port)
+            check_settable(port, self.components[port.component].interface)
+            value, to_unit = read(given, port, inlet.unit if inlet else self.unit(port))
+            value = coerce(name, variable, value, to_unit.then(linear))
+            check_bounds(str(port), variable, value)
+            yield port, value
+
     def _without_unit(
-        self, name: str, port: Port, given: Value | str
+        self,
+        name: str,
+        connected: Mapping[Port, Connection],
+        given: Value | str,
+        port: Port,
+        target: DeclaredUnit | None,
     ) -> tuple[Value | str, LinearTransformation]:
-        """A value without its unit, and the map to the unit of values that a user gives for a port."""
+        """A value without its unit, and the map to the unit of values that a user gives for a port.
+
+        Raises Problem if the port is connected, unless its FMU declares it as held.
+        """
+        connection = connected.get(port)
+        if connection and port.variable not in self.components[port.component].interface.model.held_inputs:
+            reason = f"the input is connected ({connection})"
+            raise Problem(f"{name} cannot be set: {reason}; --cut {port} removes the connection")
         number, unit = number_and_unit(str(given)) if self.variable(port).is_real else ("", "")
-        if not unit:
-            return given, IDENTITY
-        target = self.inputs[name].unit if name in self.inputs else self.unit(port)
-        return number, from_user_unit(unit, target, f"{name}={given}")
+        return (number, from_user_unit(unit, target, f"{name}={given}")) if unit else (given, IDENTITY)
 
     def check_shared(self) -> None:
         """Raise Problem if a parameter that components share has two values."""
@@ -575,12 +587,9 @@ class System:
         for name in names:
             ports = self.sharing(name)
             unit = self.variable(ports[0]).unit if ports else None
-            values = [
-                conversion(self.variable(port).unit, unit, str(port))(
-                    float(self.components[port.component].value(name))
-                )
-                for port in ports
-            ]
+            maps = (conversion(self.variable(port).unit, unit, str(port)) for port in ports)
+            starts = (float(self.components[port.component].value(name)) for port in ports)
+            values = [linear(start) for linear, start in zip(maps, starts, strict=True)]
             others = (k for k, v in enumerate(values) if not math.isclose(v, values[0], rel_tol=WRITTEN))
             for k in islice(others, 1):
                 in_unit = f" {unit.name}" if unit else ""
@@ -621,12 +630,8 @@ class System:
 
         cut = selected(targets, patterns, missing)
         kept = tuple(c for c in self.connections if str(c.target) not in cut)
-        notes = (
-            (f"connections removed by --cut; these inputs keep their start values: {', '.join(cut)}",)
-            if cut
-            else ()
-        )
-        return replace(self, connections=kept, notes=self.notes + notes)
+        note = f"connections removed by --cut; these inputs keep their start values: {', '.join(cut)}"
+        return replace(self, connections=kept).noted(note) if cut else self
 
 
 def _is_number_to_set(variable: FmuVariable, dimension: object) -> bool:
@@ -711,9 +716,8 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
 
 def check_map(where: str, variable: FmuVariable, linear: LinearTransformation) -> None:
     """Raise Problem if values of a variable cannot be transformed so."""
-    if linear != IDENTITY and (
-        variable.kind in ("String", "Binary", "Clock") or (variable.is_real and linear.table)
-    ):
+    no_line = variable.kind in ("String", "Binary", "Clock")
+    if linear != IDENTITY and (no_line or (variable.is_real and linear.table)):
         expected = "a LinearTransformation" if variable.is_real else "no transformation"
         got = "a mapping of values" if linear.table else f"{linear.factor:g} x + {linear.offset:g}"
         raise Problem(f"{where}: expected {expected} of a {variable.kind}, got {got}")

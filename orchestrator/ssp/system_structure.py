@@ -170,12 +170,15 @@ class _SsdReader:
     def read(self, path: str) -> None:
         """Read the system of the file, with this path."""
         self._flat.roots.append(self._root)
+        informative = set[str]()
         for e in self._root.element.iter():
-            if local_name(e) not in KNOWN and OPAQUE.isdisjoint(map(local_name, e.iterancestors())):
-                unknown = XmlElement(self._root.file, e).problem("left out, no element of SSP")
-                self._flat.notes.append(str(unknown))
-        own = (e for e in self._root.element.iter() if OPAQUE.isdisjoint(map(local_name, e.iterancestors())))
-        for name in sorted({*map(local_name, own)} & {*INFORMATIVE}):
+            if OPAQUE.isdisjoint(map(local_name, e.iterancestors())):
+                element = XmlElement(self._root.file, e)
+                if element.name in INFORMATIVE:
+                    informative.add(element.name)
+                elif element.name not in KNOWN:
+                    self._flat.notes.append(str(element.problem("left out, no element of SSP")))
+        for name in sorted(informative):
             self._flat.notes.append(f"{self._root.file}: {name}: left out, it does not affect a run")
         system = self._root.child("System")
         if system is None:
@@ -307,10 +310,8 @@ class _SsdReader:
             raise Problem(f"{context} {end}: expected a number or text, got {unsupported}")
         if declared.kind is None and end.component in self._flat.systems:
             names = [c.variable for c in self._flat.connectors if c.component == end.component]
-            label = end.component or self._flat.name
-            raise Problem(
-                f"{element.file}: {label} has no connector {connector!r}{suggest(connector, names)}"
-            )
+            got = f"{end.component or self._flat.name} has no connector {connector!r}"
+            raise Problem(f"{element.file}: {got}{suggest(connector, names)}")
         if declared.kind not in (*SOURCES, *SINKS):
             return end, None
         return end, SOURCE if (declared.kind in SOURCES) != (name is None) else SINK
@@ -366,11 +367,10 @@ class SignalPaths:
 
     def map(self, path: SignalPath) -> LinearTransformation:
         """The map over the whole path, with unit conversions; raises Problem if its end cannot take it."""
-        first, unit = IDENTITY, self.unit(path, path.source)
-        if variable := self._variable(path.source):
-            first = conversion(variable.unit, unit, str(path.source), self.notes)
+        unit = self.unit(path, path.source)
+        first = conversion(self._own_unit(path.source), unit, str(path.source), self.notes)
         linear = first.then(self.map_from(path, path.source, unit))
-        if variable := self._variable(path.target) or variable:
+        if variable := self._variable(path.target) or self._variable(path.source):
             check_map(self._context(path), variable, linear)
         return linear
 
@@ -384,17 +384,15 @@ class SignalPaths:
                 linear = linear.then(conversion(unit, declared, context, self.notes))
             unit = declared or unit
             linear = linear.then(connection.transformation.between(before, items, context))
-        last = self._variable(path.target)
-        target_unit = last.unit if last else None
-        return linear.then(conversion(self.unit(path, path.target), target_unit, context, self.notes))
+        ends = self.unit(path, path.target), self._own_unit(path.target)
+        return linear.then(conversion(*ends, context, self.notes))
 
     def unit(self, path: SignalPath, connector: Port) -> DeclaredUnit | None:
         """The unit of values at a connector of a path: that of its file, else that of its variable."""
-        unit, variable = self.flat.declared(connector).unit, self._variable(connector)
-        own = variable.unit if variable else None
+        unit, own = self.flat.declared(connector).unit, self._own_unit(connector)
         if unit is None or (own and unit.exponents is None and unit.name == own.name):
             unit = own
-        ends = (v.unit for end in (path.source, path.target) if (v := self._variable(end)))
+        ends = map(self._own_unit, (path.source, path.target))
         relative = differences(self._context(path), *ends)
         return replace(unit, relative=relative) if unit else None
 
@@ -407,14 +405,14 @@ class SignalPaths:
         """The variable of a connector of a component."""
         return self.system.variable(connector) if connector.component in self.flat.sources else None
 
-    def _context(self, path: SignalPath) -> str:
-        return f"{self._label(path.source)} -> {self._label(path.target)}"
-
-    def _label(self, connector: Port) -> str:
-        """A connector with its unit."""
+    def _own_unit(self, connector: Port) -> DeclaredUnit | None:
+        """The unit of the variable of a connector of a component."""
         variable = self._variable(connector)
-        unit = variable.unit if variable else self.flat.declared(connector).unit
-        return f"{connector} {unit}" if unit else str(connector)
+        return variable.unit if variable else None
+
+    def _context(self, path: SignalPath) -> str:
+        units = [(c, self._own_unit(c) or self.flat.declared(c).unit) for c in (path.source, path.target)]
+        return " -> ".join(f"{connector} {unit}" if unit else str(connector) for connector, unit in units)
 
 
 def signal_paths(flat: FlatStructure, system: System, notes: list[str], sizes: bool = False) -> SignalPaths:
@@ -442,21 +440,18 @@ def signal_paths(flat: FlatStructure, system: System, notes: list[str], sizes: b
 def _elements(flat: FlatStructure, system: System, end: Port) -> list[Port]:
     """The elements of an array at the end of connections, whose other end and connectors have its shape."""
     path = _path_to(flat, end).connectors
-    shapes = {str(c): found[0] for c in (path[0], end) if (found := system.array(str(c)))}
     declared = {str(c): flat.declared(c).shape for c in path if not c.variable.endswith("]")}
-    if not shapes:
+    array = system.array(str(path[0])) or system.array(str(end))
+    if not array:
         return [end]
-    shape = next(iter(shapes.values()))
+    shape, elements = array
     if end.component in flat.sources and path[0].component in flat.sources:
         system.pairs(str(path[0]), str(end))  # raises if they differ
     for connector, sizes in declared.items():
-        if sizes and (
-            len(sizes) != len(shape)
-            or any(a not in (None, str(b)) for a, b in zip(sizes, shape, strict=False))
-        ):
+        fit = all(a in (None, str(b)) for a, b in zip(sizes, shape, strict=False))
+        if sizes and (len(sizes) != len(shape) or not fit):
             got = f"({', '.join(a or '?' for a in sizes)}) and ({', '.join(map(str, shape))})"
             raise Problem(f"{connector}: expected a Dimension for each size of the array, got {got}")
-    shape, elements = system.array(next(iter(shapes))) or ((), [])
     return [_element(end, e.variable.rpartition("[")[2]) for e in elements]
 
 

@@ -5,7 +5,7 @@ the system was loaded from.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from orchestrator.base.xml import generation_tool, rendered_xml
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.annotations import COMMON, SHARED, coupling_attributes
 from orchestrator.ssp.common_elements import NAMESPACES, TYPES, defined_units
-from orchestrator.ssp.system import RESOURCES, Component, Inlet, Outlet, Port, System
+from orchestrator.ssp.system import RESOURCES, Inlet, Outlet, Port, System
 from orchestrator.ssp.system_structure import DEFINITION, FMU
 
 Values = Mapping[str, tuple[FmuVariable, Value]]  # name of a parameter -> the variable it sets, and its value
@@ -27,7 +27,8 @@ DESCRIPTION = "modelDescription.xml"
 NOT_COPIED = (".fmu", ".ssp", ".ssd")
 SIGNALS = "signals.ssb"  # a dictionary of the components' signals, which earlier versions wrote
 WIDTH, GAP, PITCH = 70.0, 50.0, 5.0  # [mm] of a drawn component, between two, between connectors
-Point = tuple[float, float]
+# name, kind, variable, unit, and place in a box with the corners (0, 0) and (1, 1)
+Connector = tuple[str, str, FmuVariable, DeclaredUnit | None, tuple[float, float]]
 Places = Mapping[Port, tuple[Port, str]]  # element of an array -> connector of the array, indices in it
 
 
@@ -59,9 +60,8 @@ def write_ssp(
     files = _other_resources(system) | dict(resources or {})
     for name, c in system.components.items():
         if c.source is None:
-            raise Problem(
-                f"{system.name}: component {name}: expected an FMU file to write into {path}, got none"
-            )
+            expected = f"expected an FMU file to write into {path}"
+            raise Problem(f"{system.name}: component {name}: {expected}, got none")
         files[f"{name}.fmu"] = c.source.read()
     for name, values in sets.items():
         try:
@@ -80,9 +80,8 @@ def _check_types(system: System) -> None:
     starts = [Port(c.name, v) for c in system.components.values() for v in c.start]
     for port in (*(c.source for c in system.connections), *starts):
         if not _has_type(variable := system.variable(port)):
-            raise Problem(
-                f"{system.name}: {port}: expected a number or a text in a file, got a {variable.kind}"
-            )
+            got = f"got a {variable.kind}"
+            raise Problem(f"{system.name}: {port}: expected a number or a text in a file, {got}")
 
 
 def _has_type(variable: FmuVariable) -> bool:
@@ -120,7 +119,7 @@ def _typed(values: Values) -> Values:
 def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
     """The content of SystemStructure.ssd."""
     places = {} if version == "1.0" else _places(s)
-    ports = {name: _ports(s, c, places) for name, c in s.components.items()}
+    connectors = dict(_connectors(s, places))
     variables = {name: {**c.interface.variables, **c.interface.arrays} for name, c in s.components.items()}
     units = [v.unit for of_component in variables.values() for v in of_component.values()]
     units += [i.unit for i in s.inputs.values()] + [o.unit for o in s.outputs.values()]
@@ -135,14 +134,10 @@ def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
         system=s,
         fmu_type=FMU,
         identity=IDENTITY,
-        connectors=list(_system_connectors(s, places)),
+        connectors=connectors,
         start=_typed(starts),
         bound=bound,
-        boxes={name: _box(k, sides) for k, (name, sides) in enumerate(ports.items())},
-        ports={
-            name: [(variables[name][v], at) for x, side in enumerate(sides) for v, at in _beside(side, x)]
-            for name, sides in ports.items()
-        },
+        boxes={name: _box(k, connectors[name]) for k, name in enumerate(s.components)},
         component_start={
             name: _with_lists(
                 _typed({v: (variables[name][v], value) for v, value in c.start.items()}), version
@@ -160,12 +155,14 @@ def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
 
 def _with_lists(values: Values, version: str) -> Values:
     """The values, in SSP 2.0 those of whole arrays of numbers as lists."""
-    result = dict[str, tuple[FmuVariable, Value]]()
+    result, whole = dict[str, tuple[FmuVariable, Value]](), dict[str, bool]()
     for name, (variable, value) in values.items():
         array = variable.array if version != "1.0" and variable.kind in ("Real", "Integer") else None
-        if array and all(e in values for e in array.elements):
-            result[array.name] = array, " ".join(repr(values[e][1]) for e in array.elements)
-        else:
+        if array and array.name not in whole:
+            whole[array.name] = all(e in values for e in array.elements)
+            if whole[array.name]:
+                result[array.name] = array, " ".join(repr(values[e][1]) for e in array.elements)
+        if not (array and whole[array.name]):
             result[name] = variable, value
     return result
 
@@ -209,41 +206,45 @@ def _indices(element: str) -> str:
     return element.rpartition("[")[2].rstrip("]").replace(",", " ")
 
 
-def _ports(s: System, component: Component, places: Places) -> tuple[list[str], list[str]]:
-    """Names of the connected inputs and of all outputs of a component, in the order of the FMU."""
-    fed = {c.target for c in s.connections} | {p for i in s.inputs.values() for p, _ in i.targets}
-    read = {c.source for c in s.connections} | {o.source for o in s.outputs.values()}
-    ports = [(Port(component.name, v.name), v) for v in component.interface.variables.values()]
-    inputs = [port for port, v in ports if port in fed]
-    outputs = [port for port, v in ports if (v.causality == "output" or port in read) and _has_type(v)]
-    first, last = (
-        [*dict.fromkeys(places.get(p, (p, ""))[0].variable for p in of)] for of in (inputs, outputs)
-    )
-    return first, last
+def _sides(s: System) -> dict[str, tuple[list[Port], list[Port]]]:
+    """Ports at the left and at the right of the system, "", and of its components, in the order of the FMU.
+
+    Of a component these are the connected inputs and all outputs.
+    """
+    fed, read = s.fed, {c.source for c in s.connections} | {o.source for o in s.outputs.values()}
+    sides = {"": ([Port("", name) for name in s.inputs], [Port("", name) for name in s.outputs])}
+    for name, component in s.components.items():
+        ports = [(Port(name, v.name), v) for v in component.interface.variables.values()]
+        outputs = [p for p, v in ports if (v.causality == "output" or p in read) and _has_type(v)]
+        sides[name] = [p for p, _ in ports if p in fed], outputs
+    return sides
 
 
-def _box(place: int, sides: tuple[list[str], list[str]]) -> tuple[float, float, float, float]:
+def _connectors(s: System, places: Places) -> Iterator[tuple[str, list[Connector]]]:
+    """The connectors of the system, "", and of its components, from top to bottom on either side."""
+    for owner, sides in _sides(s).items():
+        connectors = list[Connector]()
+        for x, (kind, side) in enumerate(zip(("input", "output"), sides, strict=True)):
+            groups = grouped(side, lambda port: places.get(port, (port, ""))[0])
+            for n, (connector, ports) in enumerate(groups.items(), 1):
+                variable, at = _variable(s, ports[0]), (float(x), 1 - n / (len(groups) + 1))
+                whole = variable if connector == ports[0] else variable.array or variable
+                kind = whole.causality if owner else kind
+                connectors.append((connector.variable, kind, whole, _unit(s, ports[0]), at))
+        yield owner, connectors
+
+
+def _box(place: int, connectors: Sequence[Connector]) -> tuple[float, float, float, float]:
     """Corners x1, y1, x2, y2 [mm] of a component in the row of all, with room for its connectors."""
+    inputs = sum(at[0] == 0.0 for *_, at in connectors)
     left = place * (WIDTH + GAP)
-    return left, 0.0, left + WIDTH, PITCH * (1 + max(map(len, sides)))
+    return left, 0.0, left + WIDTH, PITCH * (1 + max(inputs, len(connectors) - inputs))
 
 
-def _beside(names: Collection[str], x: float) -> Iterator[tuple[str, Point]]:
-    """Connectors from top to bottom, each with its place in a box with the corners (0, 0) and (1, 1)."""
-    return ((name, (x, 1 - n / (len(names) + 1))) for n, name in enumerate(names, 1))
-
-
-def _system_connectors(
-    s: System, places: Places
-) -> Iterator[tuple[str, str, FmuVariable, DeclaredUnit | None, Point]]:
-    """Connectors of the system: inputs on the left side, outputs on the right side."""
-    for kind, ends, x in (("input", s.inputs, 0.0), ("output", s.outputs, 1.0)):
-        ports = [(port := Port("", name), *places.get(port, (port, ""))) for name in reversed([*ends])]
-        first = {connector.variable: port.variable for port, connector, _ in ports}
-        for name, at in _beside([*first][::-1], x):
-            variable = _variable(s, Port("", first[name]))
-            whole = variable if name == first[name] else variable.array or variable
-            yield name, kind, whole, ends[first[name]].unit, at
+def _unit(s: System, port: Port) -> DeclaredUnit | None:
+    """The unit of a port; that of a port of the system may be another one than that of its variable."""
+    end = None if port.component else s.inputs.get(port.variable) or s.outputs[port.variable]
+    return end.unit if end else s.variable(port).unit
 
 
 def _start(s: System, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
@@ -265,8 +266,6 @@ def _connections(s: System, places: Places) -> Iterator[tuple[Any, ...]]:
     suppress its own unit conversion, which the map contains. Arrays are connected whole if all their
     elements are.
     """
-    system_units = {i.name: i.unit for i in s.inputs.values()}
-    system_units |= {o.name: o.unit for o in s.outputs.values()}
     ends = [(c.source, c.target, c.map) for c in s.connections]
     ends += [(Port("", i.name), p, linear) for i in s.inputs.values() for p, linear in i.targets]
     ends += [(o.source, Port("", o.name), o.map) for o in s.outputs.values()]
@@ -278,7 +277,7 @@ def _connections(s: System, places: Places) -> Iterator[tuple[Any, ...]]:
     )
     done = set[Any]()
     for (start, of_start, end, of_end), (source, target, linear) in zip(placed, ends, strict=True):
-        units = [s.variable(p).unit if p.component else system_units[p.variable] for p in (source, target)]
+        units = _unit(s, source), _unit(s, target)
         converted = linear != IDENTITY or (units[0] != units[1] and None not in units)
         if linear.table and (linear.factor, linear.offset) != (1.0, 0.0):
             raise Problem(f"{source} -> {target}: expected a line or a mapping of values to write, got both")

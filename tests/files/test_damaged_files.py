@@ -210,6 +210,6 @@ def system(good: Mapping[str, Good], tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.mark.parametrize("seeds", [range(30), pytest.param(range(30, 2000), marks=shards.search)], ids=str)
 @pytest.mark.parametrize("kind", ["fmi2", "fmi3", "ssp"])
-def test_damage_is_told(kind: str, seeds: range, good: Any, system: System, tmp_path: Path) -> None:
+def test_damage_is_told(kind, seeds, good, system, tmp_path):
     """No other exception than Problem, no defect of a rule, nothing touched, and all that in bounds."""
     assert faults(kind, good, seeds, tmp_path, system) == {}

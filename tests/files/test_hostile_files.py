@@ -8,10 +8,9 @@ import struct
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
-from typing import Any
 
 import pytest
 from check.good import DESCRIPTION, XML_2, Archive
@@ -55,24 +54,26 @@ def gain(fmus: Workshop) -> Path:
     return fmus["gain"]
 
 
-def fmu(path: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:
-    """A good FMU with changes of its description and more members."""
-    text = XML_2
+def changed(
+    path: Path, members: Members, name: str, changes: Sequence[tuple[str, str]], more: Members | None
+) -> Path:
+    """An archive with changes of the text of one member, and more members."""
+    text = members[name].decode()
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
-    path.write_bytes(archived({**GOOD, DESCRIPTION: text.encode(), **(more or {})}))
+    path.write_bytes(archived({**members, name: text.encode(), **(more or {})}))
     return path
+
+
+def fmu(path: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:
+    """A good FMU with changes of its description and more members."""
+    return changed(path, GOOD, DESCRIPTION, changes, more)
 
 
 def system(path: Path, gain: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:
     """A good SSP with changes of its SystemStructure.ssd and more members."""
-    members = dict(good_system(gain))
-    for old, new in changes:
-        assert old.encode() in members["SystemStructure.ssd"]
-        members["SystemStructure.ssd"] = members["SystemStructure.ssd"].replace(old.encode(), new.encode())
-    path.write_bytes(archived({**members, **(more or {})}))
-    return path
+    return changed(path, good_system(gain), "SystemStructure.ssd", changes, more)
 
 
 def in_directory(offset: int, kind: str, value: int, member: int = 0) -> Callable[[Path], None]:
@@ -135,9 +136,7 @@ ARCHIVES: list[tuple[Callable[[Path], None], str, str]] = [  # change, message o
 
 
 @pytest.mark.parametrize(("change", "message", "rule"), ARCHIVES)
-def test_an_archive_is_refused(
-    change: Callable[[Path], None], message: str, rule: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_archive_is_refused(change, message, rule, tmp_path, monkeypatch):
     """In a run by one line with the name of the file, in a check by a rule; nothing is left."""
     temporary = tmp_path / "temporary"
     temporary.mkdir()
@@ -153,7 +152,7 @@ def test_an_archive_is_refused(
     assert peak() - before < MOST / 10  # less than the bomb
 
 
-def test_a_member_is_read_up_to_the_size_it_declares(tmp_path: Path) -> None:
+def test_a_member_is_read_up_to_the_size_it_declares(tmp_path):
     """150 MB that declare 100 bytes take no memory."""
     path = fmu(tmp_path / "x.fmu", more={"resources/big": ZEROS})
     in_directory(24, "I", 100, member=2)(path)
@@ -162,7 +161,7 @@ def test_a_member_is_read_up_to_the_size_it_declares(tmp_path: Path) -> None:
     assert peak() - before < len(ZEROS) / 2
 
 
-def test_sparse_data_are_no_bomb() -> None:
+def test_sparse_data_are_no_bomb():
     """150 MB of zeros pack to 150 kB."""
     member = zipfile.ZipInfo("resources/map.bin")
     member.file_size = len(ZEROS)
@@ -171,9 +170,7 @@ def test_sparse_data_are_no_bomb() -> None:
     assert "at most 200 times" in size_fault([member], BOMB // 1000)
 
 
-def test_a_large_member_is_not_unpacked_to_be_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_large_member_is_not_unpacked_to_be_refused(tmp_path, monkeypatch):
     """The size that it declares is above the limit of the reader."""
     path = fmu(tmp_path / "x.fmu")
     monkeypatch.setattr(zipfile.ZipFile, "open", lambda *_: pytest.fail("unpacked"))
@@ -181,7 +178,7 @@ def test_a_large_member_is_not_unpacked_to_be_refused(
     problem(lambda: member.read(100), rf"x\.fmu/{DESCRIPTION}: expected at most 0 MB")
 
 
-def test_a_long_list_of_members_is_refused(tmp_path: Path) -> None:
+def test_a_long_list_of_members_is_refused(tmp_path):
     """Before it is read: by its size in the last record of the archive."""
     path = fmu(tmp_path / "x.fmu")
     data = bytearray(path.read_bytes())
@@ -192,7 +189,7 @@ def test_a_long_list_of_members_is_refused(tmp_path: Path) -> None:
     assert any(message in f.text for f in check(path, run=False).findings if f.rule == "archive.zip")
 
 
-def test_the_name_in_an_extra_field_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_name_in_an_extra_field_is_checked(tmp_path, monkeypatch):
     """Newer versions of Python unpack under this name (Info-ZIP 0x7075); it may only add letters."""
     names = {
         "resources/a": ("../evil", "has '..' in its path"),
@@ -219,16 +216,14 @@ def test_the_name_in_an_extra_field_is_checked(tmp_path: Path, monkeypatch: pyte
     assert not (tmp_path / "evil").exists()
 
 
-def test_members_can_stay_packed(gain: Path) -> None:
+def test_members_can_stay_packed(gain):
     """Those of the named folders; all others are unpacked."""
     with Location(gain).unpacked(("binaries/",)) as folder:
         found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert found == {n for n in Location(gain).names() if not n.startswith("binaries/")}
 
 
-def test_many_components_of_one_fmu_share_its_library(
-    gain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_many_components_of_one_fmu_share_its_library(gain, tmp_path, monkeypatch):
     """The members of their SSP are listed once in loading it, and once for checksums and run."""
     names = [f"part_{i}" for i in range(8)]
     system = write_ssp(assemble(dict.fromkeys(names, gain)), tmp_path / "many.ssp")
@@ -246,7 +241,7 @@ def test_many_components_of_one_fmu_share_its_library(
 
 
 @pytest.mark.parametrize("folder", ["sources", "documentation"])
-def test_a_run_unpacks_no_sources_and_no_documentation(gain: Path, tmp_path: Path, folder: str) -> None:
+def test_a_run_unpacks_no_sources_and_no_documentation(gain, tmp_path, folder):
     """A member there that cannot be unpacked does not prevent a run; one in resources does."""
     for place, told in ((folder, None), ("resources", "is compressed with")):
         fmu = Path(shutil.copy(gain, tmp_path / f"{place}.fmu"))
@@ -256,7 +251,7 @@ def test_a_run_unpacks_no_sources_and_no_documentation(gain: Path, tmp_path: Pat
             run(fmu, step=0.1, stop=0.1)
 
 
-def test_backslashes_in_names_are_slashes(gain: Path, tmp_path: Path) -> None:
+def test_backslashes_in_names_are_slashes(gain, tmp_path):
     """Old packers on Windows write them; a check reports them."""
     path = tmp_path / "x.fmu"
     with zipfile.ZipFile(gain) as good:
@@ -270,7 +265,7 @@ def test_backslashes_in_names_are_slashes(gain: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["全\u3000部", "a\u00a0b", "\u0645\u06cc\u200c\u062e", "a\u200db"])
-def test_names_of_all_scripts_are_read(name: str, gain: Path, tmp_path: Path) -> None:
+def test_names_of_all_scripts_are_read(name, gain, tmp_path):
     """Only control characters of ASCII are refused: Japanese, French and Persian need other ones."""
     file = f"resources/{name}.fmu"
     change = ('name="a" source="resources/gain.fmu"', f'name="a" source="{file}"')
@@ -278,7 +273,7 @@ def test_names_of_all_scripts_are_read(name: str, gain: Path, tmp_path: Path) ->
     problem(lambda: Location(tmp_path / "x.ssp").member("a\x7f"), "control character")
 
 
-def test_a_rule_searches_all_files_within_one_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rule_searches_all_files_within_one_limit(tmp_path, monkeypatch):
     """So that many large files do not take many times as long."""
     monkeypatch.setattr(archive_rules, "MAX_SEARCHED", 100)
     texts = {f"{n}.txt": f"/home/{n}/x".encode().ljust(80) for n in "abc"}
@@ -288,14 +283,14 @@ def test_a_rule_searches_all_files_within_one_limit(tmp_path: Path, monkeypatch:
     assert searched == [("a.txt", texts["a.txt"]), ("b.txt", texts["b.txt"][:20])]
 
 
-def test_a_large_description_of_constant_text_is_read(tmp_path: Path) -> None:
+def test_a_large_description_of_constant_text_is_read(tmp_path):
     """The ratio counts only for large archives: regular descriptions of good FMUs pack well."""
     path = fmu(tmp_path / "x.fmu", ('license="MIT"', f'license="{" " * 9_000_000}"'))
     assert path.stat().st_size < 50_000
     assert open_component("x", Location(path)).interface.identifier == "lag"
 
 
-def test_a_bomb_in_a_system_is_refused(gain: Path, tmp_path: Path) -> None:
+def test_a_bomb_in_a_system_is_refused(gain, tmp_path):
     """Also if the archive of the system itself is small unpacked, and if it contains itself many times."""
     file = fmu(tmp_path / "bomb.fmu")
     bomb(file)
@@ -310,7 +305,7 @@ def test_a_bomb_in_a_system_is_refused(gain: Path, tmp_path: Path) -> None:
     problem(lambda: load(tmp_path / "nested.ssp"), "expected at most 8 archives inside each other")
 
 
-def test_a_symbolic_link_becomes_a_file(tmp_path: Path) -> None:
+def test_a_symbolic_link_becomes_a_file(tmp_path):
     """A link would let later members be written anywhere."""
     path, link = fmu(tmp_path / "x.fmu"), zipfile.ZipInfo("resources")
     link.external_attr = 0o120777 << 16
@@ -324,7 +319,7 @@ def test_a_symbolic_link_becomes_a_file(tmp_path: Path) -> None:
     assert not (tmp_path / "evil").exists()
 
 
-def test_a_full_temporary_folder_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_temporary_folder_is_told(tmp_path, monkeypatch):
     """With the names of FMU and folder; the part that was unpacked is removed. It is no fault of the FMU."""
     path, temporary = fmu(tmp_path / "x.fmu"), tmp_path / "temporary"
     temporary.mkdir()
@@ -344,9 +339,7 @@ def test_a_full_temporary_folder_is_told(tmp_path: Path, monkeypatch: pytest.Mon
     problem(lambda: check(path, run=False), r"x\.fmu: no temporary folder")
 
 
-def test_a_disk_that_is_full_at_the_last_block_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_is_full_at_the_last_block_is_told(tmp_path, monkeypatch):
     """With the name of the file that is read."""
 
     class Full(tempfile.SpooledTemporaryFile):  # type: ignore[type-arg]  # not generic at run time before 3.12
@@ -371,7 +364,7 @@ DESCRIPTIONS = [
 
 
 @pytest.mark.parametrize("element", ["fmiModelDescription", "CoSimulation", "ScalarVariable", "Unit"])
-def test_an_element_may_have_many_attributes(element: str, tmp_path: Path) -> None:
+def test_an_element_may_have_many_attributes(element, tmp_path):
     """The effort grows with their number: by its square it would be a hundred times the limit."""
     many = " ".join(f'a{i}="1"' for i in range(100_000))
     path = fmu(tmp_path / "x.fmu", (f"<{element} ", f"<{element} {many} "))
@@ -381,7 +374,7 @@ def test_an_element_may_have_many_attributes(element: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("old", "new", "message"), DESCRIPTIONS, ids=[d[-1][:50] for d in DESCRIPTIONS])
-def test_a_description_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
+def test_a_description_is_refused(old, new, message, tmp_path):
     """By one line without control characters, in bounded time; a check finds something wrong, too."""
     path = fmu(tmp_path / "x.fmu", (old, new))
     start = time.process_time()
@@ -396,7 +389,7 @@ def test_a_description_is_refused(old: str, new: str, message: str, tmp_path: Pa
     assert find_library(tmp_path, "../../x/evil", 2) is None
 
 
-def test_a_long_identifier_names_no_library(tmp_path: Path) -> None:
+def test_a_long_identifier_names_no_library(tmp_path):
     """Names of files have at most 255 characters."""
     path = fmu(tmp_path / "x.fmu", (f'{CO}"lag"', f'{CO}"{"x" * 260}"'))
     with Location(path).unpacked() as folder:
@@ -406,9 +399,7 @@ def test_a_long_identifier_names_no_library(tmp_path: Path) -> None:
     assert load(path).components["x"].interface.identifier == "x" * 260
 
 
-def test_other_files_of_an_fmu_are_read_up_to_their_limit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_files_of_an_fmu_are_read_up_to_their_limit(tmp_path, monkeypatch):
     """A description of the view and the origin of parameters: TOML, at most 4 MB."""
     limits, read = list[int](), Location.read
     monkeypatch.setattr(Location, "read", lambda self, limit: limits.append(limit) or read(self, limit))
@@ -422,7 +413,7 @@ def test_other_files_of_an_fmu_are_read_up_to_their_limit(
 
 @pytest.mark.parametrize("entities", [ENTITIES.decode(), '<!ENTITY a9 SYSTEM "file:///etc/passwd">'])
 @pytest.mark.parametrize("place", ['description="A', "<LogCategories>"])
-def test_entities_are_not_expanded(entities: str, place: str, tmp_path: Path) -> None:
+def test_entities_are_not_expanded(entities, place, tmp_path):
     """Neither in attributes nor in the content, neither a billion of them nor those of other files."""
     text = XML_2.replace("<fmiModelDescription", f"<!DOCTYPE a [{entities}]><fmiModelDescription")
     path = tmp_path / "x.fmu"
@@ -435,7 +426,7 @@ def test_entities_are_not_expanded(entities: str, place: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "iso-8859-1"])
-def test_other_encodings_are_read(encoding: str, tmp_path: Path) -> None:
+def test_other_encodings_are_read(encoding, tmp_path):
     """A description in another encoding is the same, if it says so or has a mark."""
     named = {"utf-8-sig": "UTF-8"}.get(encoding, encoding)
     text = XML_2.replace("UTF-8", named).replace("first-order lag", "lag é")
@@ -444,21 +435,21 @@ def test_other_encodings_are_read(encoding: str, tmp_path: Path) -> None:
 
 
 @table(__file__, "systems", "old, new, message")
-def test_a_system_is_refused(old: str, new: str, message: str, gain: Path, tmp_path: Path) -> None:
+def test_a_system_is_refused(old, new, message, gain, tmp_path):
     """By one line, also if the file that it refers to exists."""
     shutil.copy(gain, tmp_path / "gain.fmu")
     (tmp_path / "start.ssv").write_text(START)
     problem(lambda: load(system(tmp_path / "x.ssp", gain, (old, new))), message)
 
 
-def test_a_mapping_with_another_attribute_is_told(gain: Path, tmp_path: Path) -> None:
+def test_a_mapping_with_another_attribute_is_told(gain, tmp_path):
     """As in a file of OMSimulator's tests: line, element, expected and got."""
     mapping = MAPPING.replace(" target=", " destination=", 1).encode()
     told = r"line \d+: MappingEntry: expected an attribute target, got source, destination$"
     problem(lambda: load(system(tmp_path / "x.ssp", gain, more={"resources/names.ssm": mapping})), told)
 
 
-def test_an_unpacked_system_may_refer_to_files_beside_it(gain: Path, tmp_path: Path) -> None:
+def test_an_unpacked_system_may_refer_to_files_beside_it(gain, tmp_path):
     """Not to devices and pipes, which never end."""
     folder = tmp_path / "system"
     folder.mkdir()
@@ -478,9 +469,7 @@ def test_an_unpacked_system_may_refer_to_files_beside_it(gain: Path, tmp_path: P
         pytest.param(2, 14, None, "10000 components", marks=shards.search),
     ],
 )
-def test_files_that_include_files_have_an_end(
-    copies: int, count: int, most: int | None, message: str, gain: Path, tmp_path: Path, monkeypatch: Any
-) -> None:
+def test_files_that_include_files_have_an_end(copies, count, most, message, gain, tmp_path, monkeypatch):
     """A chain of 90 files; 7 or 14 files of which each includes the next one twice, with `most` parts."""
     if most:
         monkeypatch.setattr("orchestrator.ssp.system_structure.MAX_PARTS", most)
@@ -500,7 +489,7 @@ def variables(count: int) -> str:
     return "".join(f"{one.format(n, n + 100)}</ScalarVariable>\n" for n in range(count))
 
 
-def test_a_check_runs_an_fmu_without_its_local_variables() -> None:
+def test_a_check_runs_an_fmu_without_its_local_variables():
     """Of 3000 only the first 100 are sent to child processes, and states and derivatives."""
     text = XML_2.replace("</ModelVariables>", f"{variables(3000)}</ModelVariables>")
     model = read_description(etree.fromstring(text.encode()), 2)
@@ -512,7 +501,7 @@ def test_a_check_runs_an_fmu_without_its_local_variables() -> None:
 
 
 @shards.search
-def test_200_000_variables_are_checked(tmp_path: Path) -> None:
+def test_200_000_variables_are_checked(tmp_path):
     """In bounded time and memory, by rules that are linear in the number of variables: 6 s, else hours."""
     path = fmu(tmp_path / "x.fmu", ("</ModelVariables>", f"{variables(200_000)}</ModelVariables>"))
     start, before = time.process_time(), peak()

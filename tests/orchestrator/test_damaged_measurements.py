@@ -357,6 +357,7 @@ def test_quotes_follow_rfc_4180_and_never_join_rows(tmp_path, text, expected):
 
 def test_a_quote_is_no_delimiter(tmp_path):
     """It has a meaning of its own."""
-    (tmp_path / "a.csv").write_text("a\n1\n2\n")
-    told = "delimiter: expected one character such as ';', got '\"'"
-    problem(lambda: read_columns(tmp_path / "a.csv", None, TextFormat(delimiter='"')), told)
+    (tmp_path / "a.csv").write_text("time,a\n0,1\n1,2\n", encoding="utf-8")
+    for key in ("delimiter", "decimal"):
+        (tmp_path / "a.toml").write_text(f"[file]\n{key} = '\"'\n", encoding="utf-8")
+        problem(lambda: read_trace(tmp_path / "a.csv"), rf"a\.toml: file: {key}: expected .*, got '\"'")

@@ -94,7 +94,7 @@ def test_bars_are_as_long_as_what_they_show():
 
 
 @pytest.mark.parametrize("causes", [3, 13, 16])
-def test_no_two_causes_have_one_colour_but_the_smallest(causes: int) -> None:
+def test_no_two_causes_have_one_colour_but_the_smallest(causes):
     """Of bars on one picture; those after the thirteenth are grey."""
     heat = {f"pump.cause_{k}_heat": np.full(21, 1e4 + 1e3 * k) for k in range(causes)}
     kept = {name: None for name in POWERS if name.endswith("_heat") and not name.startswith("lift_meter")}

@@ -49,7 +49,7 @@ def names(text: str) -> set[str]:
     return {*WORDS.findall(text), *(VARIABLES & set(re.findall(r"\w+", text)))}
 
 
-def test_no_name_of_the_harvester() -> None:
+def test_no_name_of_the_harvester():
     """No variable of the harvester and no word of its arm is in the code of any file."""
     named = [path for path in FILES if names(path.read_text(encoding="utf-8"))]  # in docstrings, too
     assert len(named) > 10
@@ -59,7 +59,7 @@ def test_no_name_of_the_harvester() -> None:
     assert found == set()
 
 
-def test_exemptions_are_needed() -> None:
+def test_exemptions_are_needed():
     """Each exemption still has its name, and the search finds what it should."""
     for file, part in EXEMPT:
         assert part in code(ROOT / file)

@@ -98,7 +98,8 @@ def test_a_connected_input_may_stand_in_a_set(fmus, tmp_path):
 def test_sets_that_do_not_fit_are_refused(system, tmp_path, monkeypatch, name, message):
     """In one line: the set or file, the variable, expected and got."""
     monkeypatch.chdir(tmp_path)
-    for file, values in (("odd", {"g__fctor": 1}), ("output", {"g__y": 1}), ("text", {"g__factor": "x"})):
+    files = {"odd": {"g__fctor": 1}, "output": {"g__y": 1}, "text": {"g__factor": "x"}, "bare": {"u": "x"}}
+    for file, values in files.items():
         (tmp_path / f"{file}.ssv").write_text(ssv(**values), encoding="utf-8")
     problem(lambda: run(system, parameters=[name]), message)
 

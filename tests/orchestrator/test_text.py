@@ -24,7 +24,7 @@ TABLE = TextTable(["name", "value"], [["a", "1"], ["<b>", "unstable"]], title="T
 
 
 @given(st.floats(-1e12, 1e12), st.integers(1, 6), st.booleans())
-def test_a_number_is_rounded_to_its_digits(value: float, digits: int, zeros: bool) -> None:
+def test_a_number_is_rounded_to_its_digits(value, digits, zeros):
     """By at most half a unit of the last digit, however it is written."""
     error = abs(float(number(value, digits, zeros=zeros)) - value)
     # exact identity: the rounding itself, and that of binary numbers
@@ -34,12 +34,12 @@ def test_a_number_is_rounded_to_its_digits(value: float, digits: int, zeros: boo
 @pytest.mark.parametrize(
     ("value", "text"), [(None, "-"), (float("nan"), "-"), (float("inf"), "-"), (0.005, "0.5 %"), (1, "100 %")]
 )
-def test_a_share_is_a_percentage(value: float | None, text: str) -> None:
+def test_a_share_is_a_percentage(value, text):
     """A dash where there is no finite number."""
     assert percentage(value) == text
 
 
-def test_print_has_other_signs_than_a_terminal() -> None:
+def test_print_has_other_signs_than_a_terminal():
     """Powers of ten, minus signs and dashes; dates and names stay; words become lists and sentences."""
     assert typeset("-1e-07 at 2026-11-21, a-1") == "\N{MINUS SIGN}1·10⁻⁷ at 2026-11-21, a-1"
     assert typeset("-") == "\N{EN DASH}"
@@ -56,7 +56,7 @@ def test_print_has_other_signs_than_a_terminal() -> None:
     assert sentences("one", "", "two.") == "One. Two."
 
 
-def test_one_table_for_terminal_document_and_page() -> None:
+def test_one_table_for_terminal_document_and_page():
     """Aligned; what stands out is bold; pages escape; a row of one cell is the heading of a group."""
     assert TABLE.lines() == ["name     value", "a            1", "<b>   unstable"]
     assert TABLE.markdown().splitlines()[1:] == ["|---|--:|", "|a|1|", "|<b>|**unstable**|"]
@@ -69,7 +69,7 @@ def test_one_table_for_terminal_document_and_page() -> None:
     ("rows", "heads"),
     [([["a", "", "1"], ["b", "", ""]], "x z"), ([["all"], ["", "2", ""]], "x y"), ([], "x y z")],
 )
-def test_a_page_has_no_column_without_text(rows: list[list[str]], heads: str) -> None:
+def test_a_page_has_no_column_without_text(rows, heads):
     """Numbers stay right-aligned; the heading of a group spans the columns that are left."""
     page = TextTable(["x", "y", "z"], rows).html()
     assert re.findall("<th[^>]*>([xyz])</th>", page) == heads.split()
@@ -77,7 +77,7 @@ def test_a_page_has_no_column_without_text(rows: list[list[str]], heads: str) ->
     assert ("scope" in page) == ('colspan="2"' in page)
 
 
-def test_json_knows_no_infinity() -> None:
+def test_json_knows_no_infinity():
     """What is not finite is null, also deep inside."""
     found = json_values({"a": (float("inf"), [1.5, True, None]), 2: "x"})
     assert found == {"a": [None, [1.5, True, None]], "2": "x"}

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kit.any_fmu.models import Workshop
 from kit.mistakes import problem, table
 
 from orchestrator import Trace, assemble, read_recording, read_trace, run, write_trace
@@ -111,6 +110,8 @@ def test_words_in_a_column_of_numbers_are_gaps(name, log, capsys):
     np.testing.assert_array_equal(read_recording(log(path.read_text(), described))["p"], 1e5 * numbers)
     path.with_suffix(".toml").unlink()
     problem(lambda: read_trace(path), "column 'P.*: expected a number, got '")
+    none = log("time,p\n0e,q\n0,1\n1,1O5\n2,3\n")  # nothing else is left to read
+    problem(lambda: read_recording(none), "log.csv: line 2: column 'time': expected a number, got '0e'$")
 
 
 @table(__file__, "stated", "keys, first, told")
@@ -193,7 +194,7 @@ def test_gaps_of_recordings_and_scenarios(log):
     problem(lambda: read_trace(path), r"u: expected gaps of at most 0\.1 s, got one from 0\.05 s to 0\.05 s")
 
 
-def test_a_column_in_another_unit_drives_its_input(fmus: Workshop, log):
+def test_a_column_in_another_unit_drives_its_input(fmus, log):
     """The input of the FMU is in bar; another quantity is refused, and a column without a unit is in bar."""
     system = assemble({"a": fmus.make("gain", "in_bar", units={"u": "bar", "y": "bar"})}, [])
     for header, first in (("u [kPa]", 0.03), ("u (MPa)", 30.0), ("u", 3.0)):
