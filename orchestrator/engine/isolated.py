@@ -364,7 +364,7 @@ def _run(channel: Channel, task: RunTask) -> None:
     channel.put("time", task.job.times.start)
     os.chdir(task.directory)
     sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
-    reported, kept = 0.0, channel.folder / f"events-{task.number}"
+    reported = 0.0
     for earlier in channel.folder.glob("events-*"):
         with suppress(OSError):  # an FMU has removed it
             earlier.unlink()
@@ -380,12 +380,8 @@ def _run(channel: Channel, task: RunTask) -> None:
             channel.put("points", points)
 
         def append_events(self, events: Any) -> None:
-            lines = (json.dumps((event.time, event.causes)) + "\n" for event in events)
-            with (
-                suppress(OSError),
-                kept.open("a", encoding="utf-8") as file,
-            ):  # a message takes longer than an instant
-                file.writelines(lines)
+            with suppress(OSError):  # a message takes longer than an instant
+                kept.write("".join(f"{json.dumps((e.time, e.causes))}\n" for e in events).encode())
 
         def append_errors(self, *errors: Any) -> None:
             if task.keeps_errors:
@@ -420,4 +416,5 @@ def _run(channel: Channel, task: RunTask) -> None:
 
     job = replace(task.job, options={**task.job.options, "open": open_fmu})
     cores = 1 if task.many else None
-    run_job(job, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate, cores)
+    with (channel.folder / f"events-{task.number}").open("wb", buffering=0) as kept:
+        run_job(job, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate, cores)

@@ -158,17 +158,14 @@ class RunningComponent:
             self._saved_state = None
 
 
-SCENARIO_STAGE = -1  # stage of the inputs that a scenario sets, before all others
-LOOP_STAGE = -2  # ports of algebraic loop i have the stage LOOP_STAGE - i
-
-
 @dataclass(frozen=True)
 class Block:
     """A slice of an array: variables of one component, one FMI type, and the same stages of the exchange.
 
     They belong to the same clocks, if they belong to any.
 
-    first   index of the first variable
+    stages   none for variables of algebraic loops, scenarios and clocks, which others read and set
+    first    index of the first variable
     """
 
     component: str
@@ -186,15 +183,20 @@ class SignalArray:
         self.index: dict[Port, int] = {}
         self.values: Buffer = np.zeros(0, dtype)
 
-    def add(self, system: System, stages: Mapping[Port, tuple[int, ...]]) -> list[Block]:
-        """Append ports, grouped into blocks."""
+    def add(
+        self,
+        system: System,
+        stages: Mapping[Port, tuple[int, ...]],
+        kind: Callable[[Port], tuple[bool, ...]] = lambda _: (),
+    ) -> list[Block]:
+        """Append ports, grouped into blocks, by stages and kind."""
 
-        def group_of(port: Port) -> tuple[str, str, tuple[int, ...], tuple[int | None, ...]]:
+        def group_of(port: Port) -> tuple[Any, ...]:
             variable = system.variable(port)
-            return port.component, variable.function_type, stages[port], variable.clocks
+            return port.component, variable.function_type, stages[port], variable.clocks, kind(port)
 
         blocks = []
-        for (component, _, same, _), ports in grouped(_by_array(system, stages), group_of).items():
+        for (component, _, same, *_), ports in grouped(_by_array(system, stages), group_of).items():
             blocks.append(Block(component, same, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
@@ -400,11 +402,9 @@ class Network:
         numeric = {p for p in requested if self.system.variable(p).is_number}
         outputs = {p: stages for p, stages in self.order.stages.items() if p in numeric}
         inputs = {c.target: self.order.stages[c.source] for c in self.connections}
-        # blocks of a loop take part in no stage of the exchange
-        for i, (cycle, _) in enumerate(self.order.cycles):
-            outputs |= {c.source: (LOOP_STAGE - i,) for c in cycle.connections}
-            inputs |= {c.target: (LOOP_STAGE - i,) for c in cycle.connections}
-        inputs |= {p: (SCENARIO_STAGE,) for p in driven}
+        loops = [c for cycle, _ in self.order.cycles for c in cycle.connections]
+        outputs |= dict.fromkeys((c.source for c in loops), ())
+        inputs |= dict.fromkeys((*(c.target for c in loops), *driven), ())
         read = [o.source for o in self.system.outputs.values() if o.source.component]  # also local variables
         others = [*self.system.exposed, *read] if recorded is None else recorded
         others = [p for p in others if self.system.variable(p).is_number]
@@ -413,13 +413,16 @@ class Network:
         outputs, inputs = (
             {p: () if self._clocked(p) else stages for p, stages in of.items()} for of in (outputs, inputs)
         )
+        driven = {*driven}
+
+        def kind(port: Port) -> tuple[bool, bool]:
+            return self._is_held(port), port in driven
+
         output_blocks, input_blocks = Blocks(), Blocks()
         for array in (self.reals, self.integers):
             for stages, blocks in ((outputs, output_blocks), (inputs, input_blocks)):
-                for held in (False, True):  # in blocks of their own
-                    same = {p: s for p, s in stages.items() if held is self._is_held(p)}
-                    of_array = {p: s for p, s in same.items() if self._array(p) is array}
-                    blocks += [(array, b) for b in array.add(self.system, of_array)]
+                of_array = {p: same for p, same in stages.items() if self._array(p) is array}
+                blocks += [(array, b) for b in array.add(self.system, of_array, kind)]
         return output_blocks, input_blocks
 
     def _exchange(self, output_blocks: Blocks, input_blocks: Blocks) -> list[Any]:
