@@ -27,7 +27,6 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.signals import bare_name
@@ -109,46 +108,26 @@ class Message:
     dead_man: bool
 
 
-def parse(raw: str | bytes) -> Message:
-    """Parse a message. Raises `Problem`, and no other exception, for an invalid one."""
-    if isinstance(raw, bytes):
-        raise Problem(f"message: expected text, found {len(raw)} bytes of binary data")
-    # checked before parsing, so that a huge message is not copied
-    if len(raw) > LONGEST:
-        raise Problem(f"message: expected at most {LONGEST} characters, found {len(raw)}")
+def parse(raw: str | bytes) -> Message | None:
+    """The message in a text; None for anything else."""
+    if isinstance(raw, bytes) or len(raw) > LONGEST:  # before parsing, so that a huge message is not copied
+        return None
     try:
-        data = json.loads(raw, parse_constant=_constant)
-    except (ValueError, RecursionError) as error:
-        raise Problem("message: expected JSON, found something else") from error
+        data = json.loads(raw)
+    except (ValueError, RecursionError):
+        return None
     if not isinstance(data, dict) or set(data) != KEYS:
-        raise Problem(f"message: expected an object with {', '.join(sorted(KEYS))}, found {_short(data)}")
-    number, dead_man = data["n"], data["dead_man"]
-    if type(number) is not int or not 0 <= number < 2**53:
-        raise Problem(f"message: n: expected a whole number from 0 to 2^53 - 1, found {_short(number)}")
-    if not isinstance(dead_man, bool):
-        raise Problem(f"message: dead_man: expected true or false, found {_short(dead_man)}")
-    return Message(number, _sticks(data["sticks"]), dead_man)
-
-
-def _constant(word: str) -> float:
-    raise ValueError(f"{word} is not JSON")
-
-
-def _sticks(value: Any) -> StickAxes:
-    if not isinstance(value, list) or not 4 <= len(value) <= 4 + MOST_WHEELS:
-        expected = f"4 to {4 + MOST_WHEELS} numbers"
-        raise Problem(f"message: sticks: expected {expected}, found {_short(value)}")
-    for deflection in value:
-        # a bool is an int in Python; the comparison is False for NaN
-        if type(deflection) not in (int, float) or not -1 <= deflection <= 1:
-            raise Problem(f"message: sticks: expected numbers from -1 to 1, found {_short(deflection)}")
-    left_x, left_y, right_x, right_y, *wheels = map(float, value)
-    return StickAxes(left_x, left_y, right_x, right_y, tuple(wheels))
-
-
-def _short(value: Any) -> str:
-    text = ascii(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+        return None
+    number, axes, dead_man = data["n"], data["sticks"], data["dead_man"]
+    if type(number) is not int or not 0 <= number < 2**53 or not isinstance(dead_man, bool):
+        return None
+    if not isinstance(axes, list) or not 4 <= len(axes) <= 4 + MOST_WHEELS:
+        return None
+    # a bool is an int in Python; the comparison is False for NaN
+    if not all(type(x) in (int, float) and -1 <= x <= 1 for x in axes):
+        return None
+    left_x, left_y, right_x, right_y, *wheels = map(float, axes)
+    return Message(number, StickAxes(left_x, left_y, right_x, right_y, tuple(wheels)), dead_man)
 
 
 NO_LOADS: Mapping[str, float] = MappingProxyType({})

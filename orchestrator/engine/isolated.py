@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import json
 import mmap
 import os
 import sys
@@ -290,10 +289,10 @@ class _Supervision:
         from orchestrator.engine.result import Event
 
         stored = read_file(self._worker.folder / f"events-{self._number}", MOST_OF_EVENTS)
-        with suppress(ValueError, TypeError):
+        with suppress(ValueError):
             for line in stored.splitlines():
-                time, causes = json.loads(line)
-                yield Event(float(time), tuple(map(str, causes)))
+                time, *causes = line.decode().split("\t")
+                yield Event(float(time), tuple(causes))
 
     def _rescue(self, outcome: RunEnd, layout: RowLayout) -> None:
         """Complete an outcome and the rows by what the files of the child contain."""
@@ -381,7 +380,7 @@ def _run(channel: Channel, task: RunTask) -> None:
 
         def append_events(self, events: Any) -> None:
             with suppress(OSError):  # a message takes longer than an instant
-                kept.write("".join(f"{json.dumps((e.time, e.causes))}\n" for e in events).encode())
+                kept.write("".join("\t".join([repr(e.time), *e.causes]) + "\n" for e in events).encode())
 
         def append_errors(self, *errors: Any) -> None:
             if task.keeps_errors:

@@ -217,7 +217,8 @@ class Lanes:
         return self.places[port], self._instances.last_set[k] + number, k
 
     def _wire(self, c: Connection, checked: bool = False) -> Any:
-        return header().Wire(c.map.factor, c.map.offset, self.places[c.source], *self._input(c.target), checked)
+        ends = self.places[c.source], *self._input(c.target)
+        return header().Wire(c.map.factor, c.map.offset, *ends, checked)
 
     def _coupling_inputs(self) -> tuple[NDArray[Any], NDArray[np.int64]]:
         """The inputs that the master varies or watches, and the index of each source's slope; -1: none."""

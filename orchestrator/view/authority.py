@@ -28,7 +28,8 @@ from orchestrator.base.signals import bare_name
 from orchestrator.drive import sticks
 from orchestrator.drive.sticks import Message, ResponseCurve, StickAxes, parse
 from orchestrator.drive.view_description import ViewDescription
-from orchestrator.realtime.setup import Frame, Machine
+from orchestrator.realtime.machine import RealTimeMachine
+from orchestrator.realtime.setup import Frame
 
 Described = Callable[[], ViewDescription]
 Clock = Callable[[], float]
@@ -113,14 +114,14 @@ def finite(value: object, name: str) -> float:
 
 
 class CommandGate:
-    """The only path from a browser to `Machine.command`.
+    """The only path from a browser to `RealTimeMachine.command`.
 
     live    True while the machine follows the sticks
     why     reason why it does not
     values  inputs that the driver has set by sliders
     """
 
-    def __init__(self, machine: Machine, described: Described, clock: Clock) -> None:
+    def __init__(self, machine: RealTimeMachine, described: Described, clock: Clock) -> None:
         """described: the current machine; clock: monotonic [s]."""
         self.machine, self._described = machine, described
         self.live, self.why = False, "nobody drives"
@@ -231,7 +232,7 @@ class ControlAuthority:
 
     def __init__(
         self,
-        machine: Machine,
+        machine: RealTimeMachine,
         described: Described,
         timeout: float = 0.25,
         silence_limit: float = 1.0,
@@ -304,9 +305,7 @@ class ControlAuthority:
         if not station.bucket.take(now):
             station.counts["flood"] += 1
             return False
-        try:
-            message = parse(raw)
-        except Problem:
+        if (message := parse(raw)) is None:
             station.counts["refused"] += 1
             if self._driver is station:
                 self._rest("a message was not valid")

@@ -124,7 +124,7 @@ def test_model_exchange_has_the_exact_solution(tmp_path, model, version):
         for name, values in zip(names[1:], exact, strict=True):
             found = [s for s in result if s == f"r.{name}" or s.startswith(f"r.{name}[")]
             for signal, one in zip(found, np.atleast_2d(values), strict=True):
-                np.testing.assert_allclose(result[signal], one, rtol=tolerance, atol=tolerance, err_msg=signal)
+                np.testing.assert_allclose(result[signal], one, tolerance, tolerance, err_msg=signal)
 
 
 def test_clocks_is_of_scheduled_execution(tmp_path):
