@@ -28,9 +28,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.signals import bare_name
 from orchestrator.drive.view_description import MOST_WHEELS, DriveMode, Pattern
+
+CURVE: Mapping[str, float] = MappingProxyType({"dead_zone": 0.08, "progression": 0.6})  # [1], of all axes
 
 
 @dataclass(frozen=True)
@@ -44,19 +45,11 @@ class StickAxes:
     wheels: tuple[float, ...] = ()
 
 
-def pattern(name: str, patterns: Mapping[str, Pattern]) -> Pattern:
-    """The pattern of this name. Raises `Problem` if there is none."""
-    if name not in patterns:
-        expected = " or ".join(patterns) or "none"
-        raise Problem(f"pattern: expected {expected}, found {name}{suggest(name, patterns)}")
-    return patterns[name]
-
-
-def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> dict[str, float]:
-    """Functions at these deflections, -1 to 1: fractions of full speed. All have the same response curve."""
+def functions(sticks: StickAxes, chosen: Pattern) -> dict[str, float]:
+    """Functions at these deflections, -1 to 1: fractions of full speed."""
     deflections = (sticks.left_x, sticks.left_y, sticks.right_x, sticks.right_y, *sticks.wheels)
     pairs = zip(chosen.functions, itertools.chain(deflections, itertools.repeat(0.0)), strict=False)
-    return {name: 0.0 - response(x, curve) for name, x in pairs}  # no -0
+    return {name: 0.0 - response(x) for name, x in pairs}  # no -0
 
 
 def legend(chosen: Pattern, words: Mapping[str, Sequence[str]], mode: DriveMode) -> dict[str, str]:
@@ -73,26 +66,13 @@ def legend(chosen: Pattern, words: Mapping[str, Sequence[str]], mode: DriveMode)
     return labels
 
 
-@dataclass(frozen=True)
-class ResponseCurve:
-    """Dead zone and progression [1] of all axes."""
-
-    dead_zone: float = 0.08
-    progression: float = 0.6
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.dead_zone < 1:
-            raise Problem(f"curve: expected a dead zone from 0 to below 1, found {self.dead_zone}")
-        if not 0 <= self.progression <= 1:
-            raise Problem(f"curve: expected a progression from 0 to 1, found {self.progression}")
-
-
-def response(deflection: float, curve: ResponseCurve) -> float:
+def response(deflection: float) -> float:
     """Fraction of full speed [1], -1 to 1, at a deflection, which is clipped to -1 to 1."""
-    beyond = (min(abs(deflection), 1.0) - curve.dead_zone) / (1 - curve.dead_zone)
+    dead_zone, progression = CURVE["dead_zone"], CURVE["progression"]
+    beyond = (min(abs(deflection), 1.0) - dead_zone) / (1 - dead_zone)
     if not beyond > 0:  # also if the deflection is NaN
         return 0.0
-    return math.copysign((1 - curve.progression) * beyond + curve.progression * beyond**3, deflection)
+    return math.copysign((1 - progression) * beyond + progression * beyond**3, deflection)
 
 
 LONGEST = 256  # characters; a message has about 80, with all wheels 220

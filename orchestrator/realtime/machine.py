@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -297,10 +296,9 @@ class RealTimeMachine:
 
     def _open(self, setup: Setup, before: int) -> MachineProcess:
         """Start a process. before: frame number that is shown until its first frame."""
-        plain = _plain(setup)
-        plain.check()
-        process = MachineProcess(plain, before + 1, self._serial)
-        self._commanded = np.full(len(plain.axes), np.nan)
+        setup.check()
+        process = MachineProcess(setup, before + 1, self._serial)
+        self._commanded = np.full(len(setup.axes), np.nan)
         self._send(process)
         return process
 
@@ -311,19 +309,6 @@ class RealTimeMachine:
 
     def _send(self, process: MachineProcess) -> None:
         process.shared.write_command(Command(self._playing, self._speed, self._serial, self._commanded))
-
-
-def _plain(setup: Setup) -> Setup:
-    """The setup with plain types, so that it can be pickled."""
-    return replace(
-        setup,
-        system=str(setup.system),
-        axes=tuple(setup.axes),
-        signals=tuple(setup.signals),
-        swap={name: str(fmu) for name, fmu in setup.swap.items()},
-        parameters=tuple(str(name) for name in setup.parameters),
-        set=dict(setup.set),
-    )
 
 
 def _number(name: str, value: Any) -> float:

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from orchestrator.base.errors import Problem
 from orchestrator.base.signals import bare_name
 from orchestrator.drive import sticks
-from orchestrator.drive.sticks import Message, ResponseCurve, StickAxes, parse
+from orchestrator.drive.sticks import Message, StickAxes, parse
 from orchestrator.drive.view_description import ViewDescription
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Frame
@@ -34,7 +34,6 @@ from orchestrator.realtime.setup import Frame
 Described = Callable[[], ViewDescription]
 Clock = Callable[[], float]
 
-CURVE = ResponseCurve()
 STILL = 0.5  # s without a new frame, after which the machine counts as hanging
 log = logging.getLogger(__name__)
 HOLD = "hold Space (or Shift) and move with W A S D and the arrows"
@@ -149,13 +148,11 @@ class CommandGate:
 
     def choose(self, name: str | None, mode: str | None) -> None:
         """Choose pattern or mode. Raises `Problem` for an unknown one."""
-        if name is not None:
-            sticks.pattern(name, self._described().patterns)
-            self._pattern = name
-        if mode is not None:
-            if mode not in self.modes:
-                raise Problem(f"mode: expected one of {', '.join(self.modes)}, found {mode}")
-            self._mode = mode
+        known = {"pattern": (name, tuple(self._described().patterns)), "mode": (mode, self.modes)}
+        for what, (chosen, names) in known.items():
+            if chosen is not None and chosen not in names:
+                raise Problem(f"{what}: expected one of {', '.join(names) or 'none'}, found {chosen}")
+        self._pattern, self._mode = name or self._pattern, mode or self._mode
 
     # ---- commands to the machine
 
@@ -168,7 +165,7 @@ class CommandGate:
             described = self._described()
             if not (self.mode and self.pattern):
                 return self._fault("this machine has no input that sticks can drive")
-            commanded = sticks.functions(deflections, described.patterns[self.pattern], CURVE)
+            commanded = sticks.functions(deflections, described.patterns[self.pattern])
             mode = described.modes[self.mode]
             values = sticks.commands(commanded, mode, self.machine.axes, self.values)
             if sticks.uncommanded(values, self.machine.axes, frame.axes, described.modes.values()):
