@@ -450,9 +450,8 @@ class ErrorPropagation:
         first_state = first_input = first_output = 0
         structs = binding.array(member, [member()] * len(self._members))
         self._reads = list[Call]()
-        for i, k in enumerate(self._members):
-            slave = self._slaves[k]
-            states, inputs = list(slave.interface.states), self._inputs_of(slave.name)
+        for i, (k, linear) in enumerate(zip(self._members, self._system.linearised, strict=True)):
+            slave, states, inputs = self._slaves[k], linear.states, linear.inputs
             others = self._other_connections(slave.name, set(inputs), index)
             outputs = [p.variable for p in self._outputs if p.component == slave.name]
             knowns = [*states, *inputs, *(c.target.variable for c in others)]
@@ -475,9 +474,6 @@ class ErrorPropagation:
             first_input += len(inputs)
             first_output += len(outputs)
         return structs
-
-    def _inputs_of(self, component: str) -> list[str]:
-        return [u.target.variable for u in self._inputs if u.target.component == component]
 
     def _other_connections(
         self, component: str, inputs: set[str], index: dict[Port, int]
