@@ -212,12 +212,6 @@ class SignalArray:
         return np.array([self.index[p] for p in ports], dtype=np.int64)
 
 
-def differing(values: Buffer, before: Buffer) -> NDArray[np.bool_]:
-    """Which values are others than before? NaN stays NaN."""
-    different: NDArray[np.bool_] = (values != before) & ((values == values) | (before == before))
-    return different
-
-
 def _by_array(system: System, ports: Iterable[Port]) -> list[Port]:
     """The ports, with all elements of an array at the first of them, in order: FMUs take them whole."""
     found = [*ports]
@@ -247,7 +241,7 @@ class Network:
     with_events      components whose FMUs take inputs that are not continuous in event mode
     instant_calls    calls that set inputs that are not continuous, for FMUs that take them in event mode only
     discrete         array -> those inputs, and others that are not continuous and influence a state; and
-                     their values at the last instant
+                     their values at the last instant; changes: places of those that have changed
     """
 
     def __init__(
@@ -305,6 +299,7 @@ class Network:
         found = {a.name: [p for p in watched if p in a.index] for a in (self.reals, self.integers)}
         dtypes = {"reals": np.float64, "integers": np.int64}
         self.discrete = {name: (ports, np.zeros(len(ports), dtypes[name])) for name, ports in found.items()}
+        self.changes = np.zeros(len(watched), np.int32)
         if scenario:
             calls = self.set_calls({p for p in (*scenario.columns, *self.rates) if not self._is_held(p)})
             self.driven = DrivenInputs(scenario, system, self.reals.index, self.integers.index, calls)
@@ -460,6 +455,7 @@ class Network:
         sim.first_reads, sim.exchange = map(binding.program, (self.first_reads, self.exchange_calls))
         sim.loops = binding.at(np.array([loop.address for loop in self.loops], np.uint64))
         sim.loop_count = len(self.loops)
+        sim.events.changes = binding.at(self.changes)
         for array in (self.reals, self.integers):
             ports, values = self.discrete[array.name]
             kind = array.name.removesuffix("s")
