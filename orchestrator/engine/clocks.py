@@ -209,9 +209,8 @@ class Clocks:
         values, texts = (network.reals.values, network.integers.values), len(network.texts.changes)
         before = [array.copy() for array in values]
         network.binding.run(programs[1])
-        pairs = zip(values, before, strict=True)
-        found = any(not np.array_equal(*pair, equal_nan=True) for pair in pairs)
-        return found or len(network.texts.changes) > texts
+        same = all(np.array_equal(*pair, equal_nan=True) for pair in zip(values, before, strict=True))
+        return not same or len(network.texts.changes) > texts
 
     def saved(self) -> list[Any]:
         """Intervals and next ticks, for a saved run."""

@@ -66,11 +66,8 @@ class Instants:
             lower = [s for i in component.inputs if (s := inputs.inputs[i]).fmu_degree < inputs.h.DEGREE]
             held = any(s.requested_degree and not s.fmu_degree for s in lower)
             struct.locates = isinstance(component.slave, SteppedFmu) or (interface.early_return and not held)
-            exact, near, states = (
-                inputs.h.EXACT,
-                inputs.h.NEAR_EVENT,
-                interface.model.structure["derivatives"],
-            )
+            exact, near = inputs.h.EXACT, inputs.h.NEAR_EVENT
+            states = interface.model.structure["derivatives"]
             for s in lower:
                 s.at_end = interface.event_mode and (near if s.fmu_degree and states else exact)
         sources = {c.target: str(c.source) for c in network.connections}
@@ -117,7 +114,7 @@ class Instants:
             for name, slave in self._members.items()
             if slave.next_event <= t + self._state.tolerance and name not in asked
         ]
-        self._changed = changed = {}
+        self._changed = changed = dict[str, None]()
         try:
             self._instant(t)
         except Ended:

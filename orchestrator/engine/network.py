@@ -296,9 +296,8 @@ class Network:
             c.target for c in self.connections if not (system.is_continuous(c) or self._clocked(c.target))
         ]
         watched = dict.fromkeys([*held, *(p for p in others if p in self._influential)])
-        found = {a.name: [p for p in watched if p in a.index] for a in (self.reals, self.integers)}
-        dtypes = {"reals": np.float64, "integers": np.int64}
-        self.discrete = {name: (ports, np.zeros(len(ports), dtypes[name])) for name, ports in found.items()}
+        found = {a: [p for p in watched if p in a.index] for a in (self.reals, self.integers)}
+        self.discrete = {a.name: (p, np.zeros(len(p), a.values.dtype)) for a, p in found.items()}
         self.changes = np.zeros(len(watched), np.int32)
         if scenario:
             calls = self.set_calls({p for p in (*scenario.columns, *self.rates) if not self._is_held(p)})
@@ -405,9 +404,8 @@ class Network:
         others = [p for p in others if self.system.variable(p).is_number]
         given, last = {*self.system.ports("input")}, self._stages - 1
         outputs |= {p: (0 if p in given else last,) for p in others if p not in outputs and p not in inputs}
-        outputs, inputs = (
-            {p: () if self._clocked(p) else stages for p, stages in of.items()} for of in (outputs, inputs)
-        )
+        for of in (outputs, inputs):
+            of |= dict.fromkeys(filter(self._clocked, of), ())
         driven = {*driven}
 
         def kind(port: Port) -> tuple[bool, bool]:

@@ -307,15 +307,8 @@ class SimulationLoop:
             if not errors.missing:
                 errors.fill(self._binding)
                 self.errors = errors
-        of_prediction = prediction.notes if prediction else ()
-        self.notes = (
-            *of_state,
-            *late_notes(job.system, job.coupling),
-            *plan.notes,
-            *_rollback_notes(job),
-            *inputs.notes,
-            *of_prediction,
-        )
+        self.notes = (*of_state, *late_notes(job.system, job.coupling), *plan.notes, *_rollback_notes(job))
+        self.notes += (*inputs.notes, *(prediction.notes if prediction else ()))
 
     def _initialise(self, job: Job) -> None:
         """Initialise all FMUs."""
@@ -453,9 +446,8 @@ class SimulationLoop:
     def _plan_rollback(self) -> None:
         """Decide which components save their states or step in halves, and whether all can go back."""
         iterates = self._plan.passes > 1 and len(self._plan.repeated) > 0
-        saves = (
-            iterates or (self._control is not None and self._control.repeats) or self._instants is not None
-        )
+        repeats = self._control is not None and self._control.repeats
+        saves = iterates or repeats or self._instants is not None
         pairs = [(c, c.slave.interface) for c in self._components]
         for c, interface in pairs:
             c.struct.rollback = saves and interface.rollback
