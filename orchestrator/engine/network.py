@@ -334,10 +334,6 @@ class Network:
         of = {c.source for c in self.connections if c.source.component == component}
         return {port for port in of if not self._clocked(port)}
 
-    def get_output_calls(self, component: str) -> list[Call]:
-        """Calls that read all connected outputs of a component, for sequential masters."""
-        return self.get_calls(self.connected_outputs(component))
-
     def copy_and_set_calls(self, connections: Sequence[Connection]) -> list[Any]:
         """Calls that copy values along connections and set the inputs."""
         return [*self.copies(connections), *self.set_calls({c.target for c in connections})]

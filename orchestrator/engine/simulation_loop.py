@@ -464,9 +464,9 @@ class SimulationLoop:
             last = prediction is not None and k == order[-1] and not component.struct.halved
             component.held_inputs = network.copy_and_set_calls(held[k])
             reads_outputs = plan.sequential and not last
-            component.output_reads = network.get_output_calls(name) if reads_outputs else []
+            read = network.connected_outputs(name) if reads_outputs else set()
+            component.output_reads = network.get_calls(read)
             # without feed-through outputs are the same before these inputs are set exactly: FMI 2.0, 4.2.4
-            read = network.connected_outputs(name) if reads_outputs else ()
             direct = (u for y in read for u in component.slave.interface.direct_inputs(y.variable))
             wide = component.simplified
             needed = wide if component.slope_reads else wide.intersection(direct)
