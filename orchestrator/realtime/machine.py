@@ -178,9 +178,9 @@ class RealTimeMachine:
     Each start or restart has its own process and memory. The frame numbers continue over restarts.
     """
 
-    def __init__(self, setup: Setup, speed: float = 1.0) -> None:
+    def __init__(self, setup: Setup, playing: bool = True, speed: float = 1.0) -> None:
         """Returns when the machine is ready; raises Problem for a mistake in the setup."""
-        self._playing, self._speed, self._serial = True, speed_factor(speed), 0
+        self._playing, self._speed, self._serial = playing, speed_factor(speed), 0
         self._lock = threading.Lock()  # among the threads of this process
         self._ending: list[threading.Thread] = []
         self._process = self._open(setup, 0)
