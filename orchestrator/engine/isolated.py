@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import json
 import mmap
 import os
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,8 @@ from typing import TYPE_CHECKING, Any
 from orchestrator.worker.process import GARBLED, LimitExceeded, Pool, Worker, read_file
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from orchestrator.data.trace_writer import Array, Points, RowLayout, TraceSink
     from orchestrator.engine.job import Job
     from orchestrator.engine.result import Event, RunEnd
@@ -289,10 +292,10 @@ class _Supervision:
         from orchestrator.engine.result import Event
 
         stored = read_file(self._worker.folder / f"events-{self._number}", MOST_OF_EVENTS)
-        with suppress(ValueError):
+        with suppress(ValueError, TypeError):
             for line in stored.splitlines():
-                time, *causes = line.decode().split("\t")
-                yield Event(float(time), tuple(causes))
+                time, causes = json.loads(line)
+                yield Event(float(time), tuple(map(str, causes)))
 
     def _rescue(self, outcome: RunEnd, layout: RowLayout) -> None:
         """Complete an outcome and the rows by what the files of the child contain."""
@@ -352,6 +355,37 @@ def main(channel: Channel) -> None:
         os.chdir(channel.folder)  # the user's folder may be removed
 
 
+class KeptFile:
+    """A file that stays open between its lines, as to open it takes longer than an instant.
+
+    An FMU may close it, also to put another one in its place: then it is opened again.
+
+    descriptor   of the file; -1 before its first line
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self.descriptor, self._opened = path, -1, os.stat_result((0,) * 10)
+
+    def append(self, text: str) -> None:
+        """Append lines, which are lost if the file cannot be written."""
+        with suppress(OSError):
+            if not self._is_open():
+                self.descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+                self._opened = os.fstat(self.descriptor)
+            os.write(self.descriptor, text.encode())
+
+    def close(self) -> None:
+        """Close the file, if it is still open."""
+        if self._is_open():
+            os.close(self.descriptor)
+
+    def _is_open(self) -> bool:
+        try:
+            return os.path.samestat(os.fstat(self.descriptor), self._opened)
+        except OSError:
+            return False
+
+
 def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.base.errors import Problem
     from orchestrator.data.trace_writer import TraceSink
@@ -379,8 +413,7 @@ def _run(channel: Channel, task: RunTask) -> None:
             channel.put("points", points)
 
         def append_events(self, events: Any) -> None:
-            with suppress(OSError):  # a message takes longer than an instant
-                kept.write("".join("\t".join([repr(e.time), *e.causes]) + "\n" for e in events).encode())
+            kept.append("".join(json.dumps((event.time, event.causes)) + "\n" for event in events))
 
         def append_errors(self, *errors: Any) -> None:
             if task.keeps_errors:
@@ -415,5 +448,5 @@ def _run(channel: Channel, task: RunTask) -> None:
 
     job = replace(task.job, options={**task.job.options, "open": open_fmu})
     cores = 1 if task.many else None
-    with (channel.folder / f"events-{task.number}").open("wb", buffering=0) as kept:
+    with closing(KeptFile(channel.folder / f"events-{task.number}")) as kept:
         run_job(job, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate, cores)
