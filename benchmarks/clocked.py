@@ -57,7 +57,8 @@ def main() -> None:
         for name, system in (("without", plain), ("with", controlled(plain, home, unit))):
             options = {"step": STEP, "stop": STOP, "master": "gauss-seidel"}
             best = min((run(system, **options).card for _ in range(repeats)), key=lambda card: card.wall)
-            factor, began = best.real_time_factor, process_time()
+            factor = best.real_time_factor
+            began = process_time()
             run(system, **options, isolate=False)
             used = 1e6 * (process_time() - began) / best.steps
             wall = f"{1e6 * best.wall / best.steps:8.1f} us per step {factor:8.1f} times real time"

@@ -72,7 +72,8 @@ class Instants:
                 s.at_end = interface.event_mode and (near if s.fmu_degree and states else exact)
         sources = {c.target: str(c.source) for c in network.connections}
         self._discrete = [sources.get(p, str(p)) for ports, _ in network.discrete.values() for p in ports]
-        self.happened, self._changed = list[Event](), dict[str, None]()  # signals that change in an instant
+        self.happened = list[Event]()
+        self._changed = dict[str, None]()  # the signals, not continuous, that change in this instant
         self._updates = {name: slave.update for name, slave in self._members.items()}
         self._close, self._latest = 0, deque[str](maxlen=10)
         self._clocks: Clocks | None = None
@@ -114,7 +115,7 @@ class Instants:
             for name, slave in self._members.items()
             if slave.next_event <= t + self._state.tolerance and name not in asked
         ]
-        self._changed = changed = dict[str, None]()
+        changed = self._changed = dict[str, None]()
         try:
             self._instant(t)
         except Ended:
@@ -137,7 +138,7 @@ class Instants:
         self._sink.append_events(self.happened[-1:])
 
     def _instant(self, t: float) -> None:
-        """Take all members through event mode.
+        """Take all members through event mode; `_changed` gets the signals, not continuous, that change.
 
         Ticks at one time that are not due together, as those after a countdown of 0, follow each other.
         """

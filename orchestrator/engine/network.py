@@ -296,8 +296,10 @@ class Network:
             c.target for c in self.connections if not (system.is_continuous(c) or self._clocked(c.target))
         ]
         watched = dict.fromkeys([*held, *(p for p in others if p in self._influential)])
-        found = {a: [p for p in watched if p in a.index] for a in (self.reals, self.integers)}
-        self.discrete = {a.name: (p, np.zeros(len(p), a.values.dtype)) for a, p in found.items()}
+        self.discrete = {}
+        for array in (self.reals, self.integers):
+            ports = [p for p in watched if p in array.index]
+            self.discrete[array.name] = ports, np.zeros(len(ports), array.values.dtype)
         self.changes = np.zeros(len(watched), np.int32)
         if scenario:
             calls = self.set_calls({p for p in (*scenario.columns, *self.rates) if not self._is_held(p)})

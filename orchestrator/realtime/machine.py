@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -297,6 +298,8 @@ class RealTimeMachine:
     def _open(self, setup: Setup, before: int) -> MachineProcess:
         """Start a process. before: frame number that is shown until its first frame."""
         setup.check()
+        # a mapping of another type may be one that cannot be pickled
+        setup = replace(setup, swap=dict(setup.swap), set=dict(setup.set), fault=dict(setup.fault))
         process = MachineProcess(setup, before + 1, self._serial)
         self._commanded = np.full(len(setup.axes), np.nan)
         self._send(process)

@@ -23,7 +23,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.signals import bare_name
 from orchestrator.drive import sticks
 from orchestrator.drive.sticks import Message, StickAxes, parse
@@ -151,7 +151,8 @@ class CommandGate:
         known = {"pattern": (name, tuple(self._described().patterns)), "mode": (mode, self.modes)}
         for what, (chosen, names) in known.items():
             if chosen is not None and chosen not in names:
-                raise Problem(f"{what}: expected one of {', '.join(names) or 'none'}, found {chosen}")
+                expected = f"expected one of {', '.join(names) or 'none'}"
+                raise Problem(f"{what}: {expected}, found {chosen}{suggest(chosen, names)}")
         self._pattern, self._mode = name or self._pattern, mode or self._mode
 
     # ---- commands to the machine

@@ -27,7 +27,6 @@ pytestmark = pytest.mark.skipif(not ROOT.is_dir(), reason="REFERENCE_FMUS names 
 WORDS = {"true": "1", "false": "0"}
 MODELS = ["BouncingBall", "Dahlquist", "Feedthrough", "Resource", "Stair", "VanDerPol"]
 
-
 EVERY = [*((m, v) for m in MODELS for v in (2, 3)), ("StateSpace", 3)]
 
 
@@ -50,17 +49,17 @@ def built(model: str, version: int, folder: Path, without: str = "") -> Path:
 
 def bounces(time):
     """Height [m] and speed [m/s] of a ball from 1 m that keeps 0.7 of its speed, below 0.1 m/s none."""
-    height, speed, begin, lift, g = 1.0 + 0.0 * time, 0.0 * time, 0.0, 0.0, 9.81
-    end, up = sqrt(2.0 / g), 0.0
+    height, speed, g = np.zeros_like(time), np.zeros_like(time), 9.81
+    begin, first, up = 0.0, 1.0, 0.0  # time [s], height [m] and speed [m/s] after the last impact
     while True:
-        inside = (time >= begin) & (time < end)
+        impact = (up + sqrt(up**2 + 2.0 * g * first)) / g
+        inside = (time >= begin) & (time < begin + impact)
         t = time[inside] - begin
-        height[inside], speed[inside] = (1.0 if not up else lift) + up * t - 0.5 * g * t**2, up - g * t
-        up = 0.7 * g * sqrt(2.0 / g) if not up else 0.7 * up
+        height[inside] = first + up * t - 0.5 * g * t**2
+        speed[inside] = up - g * t
+        begin, first, up = begin + impact, 0.0, 0.7 * (g * impact - up)
         if up < 0.1:
-            height[time >= end] = speed[time >= end] = 0.0
             return height, speed
-        begin, end = end, end + 2.0 * up / g
 
 
 def orbit(time):
