@@ -2,7 +2,8 @@
 
 The controller is an FMU with a constant clock of 1 ms in place of the operator's boom lever. It sums a
 pressure in event mode, so that each communication step of 1 ms has an instant in which all FMUs with event
-mode take part. Beside it the same machine without the controller. The bar is 5 times real time.
+mode take part. Beside it the same machine without the controller. The bar is 5 times real time. The processor
+time of a run in this process does not depend on what else the computer does.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import argparse
 import sys
 import tempfile
 from pathlib import Path
+from time import process_time
 
 from fmus.machine.build import harvester
 from orchestrator import System, assemble, load, run
@@ -56,7 +58,11 @@ def main() -> None:
             options = {"step": STEP, "stop": STOP, "master": "gauss-seidel"}
             best = min((run(system, **options).card for _ in range(repeats)), key=lambda card: card.wall)
             factor = best.real_time_factor
-            print(f"{name:<8} {1e6 * best.wall / best.steps:8.1f} us per step {factor:8.1f} times real time")
+            began = process_time()
+            run(system, **options, isolate=False)
+            used = 1e6 * (process_time() - began) / best.steps
+            wall = f"{1e6 * best.wall / best.steps:8.1f} us per step {factor:8.1f} times real time"
+            print(f"{name:<8} {wall} {used:8.1f} us of processor time")
         print(f"bar: {LIMIT:g} times, {'met' if factor >= LIMIT else 'MISSED'}")
 
 

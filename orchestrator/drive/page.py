@@ -210,7 +210,7 @@ def page_data(description: ViewDescription, values: Values | None) -> dict[str, 
         "charts": list(map(_shown, description.charts)),
         "notices": [asdict(notice) for notice in description.notices],
         "sliders": list(map(_shown, description.sliders)),
-        "curve": asdict(sticks.ResponseCurve()),
+        "curve": dict(sticks.CURVE),
         "patterns": {name: asdict(pattern) for name, pattern in description.patterns.items()},
         "legends": {
             name: {

@@ -27,11 +27,11 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
 
-from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.signals import bare_name
 from orchestrator.drive.view_description import MOST_WHEELS, DriveMode, Pattern
+
+CURVE: Mapping[str, float] = MappingProxyType({"dead_zone": 0.08, "progression": 0.6})  # [1], of all axes
 
 
 @dataclass(frozen=True)
@@ -45,19 +45,11 @@ class StickAxes:
     wheels: tuple[float, ...] = ()
 
 
-def pattern(name: str, patterns: Mapping[str, Pattern]) -> Pattern:
-    """The pattern of this name. Raises `Problem` if there is none."""
-    if name not in patterns:
-        expected = " or ".join(patterns) or "none"
-        raise Problem(f"pattern: expected {expected}, found {name}{suggest(name, patterns)}")
-    return patterns[name]
-
-
-def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> dict[str, float]:
-    """Functions at these deflections, -1 to 1: fractions of full speed. All have the same response curve."""
+def functions(sticks: StickAxes, chosen: Pattern) -> dict[str, float]:
+    """Functions at these deflections, -1 to 1: fractions of full speed."""
     deflections = (sticks.left_x, sticks.left_y, sticks.right_x, sticks.right_y, *sticks.wheels)
     pairs = zip(chosen.functions, itertools.chain(deflections, itertools.repeat(0.0)), strict=False)
-    return {name: 0.0 - response(x, curve) for name, x in pairs}  # no -0
+    return {name: 0.0 - response(x) for name, x in pairs}  # no -0
 
 
 def legend(chosen: Pattern, words: Mapping[str, Sequence[str]], mode: DriveMode) -> dict[str, str]:
@@ -74,26 +66,13 @@ def legend(chosen: Pattern, words: Mapping[str, Sequence[str]], mode: DriveMode)
     return labels
 
 
-@dataclass(frozen=True)
-class ResponseCurve:
-    """Dead zone and progression [1] of all axes."""
-
-    dead_zone: float = 0.08
-    progression: float = 0.6
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.dead_zone < 1:
-            raise Problem(f"curve: expected a dead zone from 0 to below 1, found {self.dead_zone}")
-        if not 0 <= self.progression <= 1:
-            raise Problem(f"curve: expected a progression from 0 to 1, found {self.progression}")
-
-
-def response(deflection: float, curve: ResponseCurve) -> float:
+def response(deflection: float) -> float:
     """Fraction of full speed [1], -1 to 1, at a deflection, which is clipped to -1 to 1."""
-    beyond = (min(abs(deflection), 1.0) - curve.dead_zone) / (1 - curve.dead_zone)
+    dead_zone, progression = CURVE["dead_zone"], CURVE["progression"]
+    beyond = (min(abs(deflection), 1.0) - dead_zone) / (1 - dead_zone)
     if not beyond > 0:  # also if the deflection is NaN
         return 0.0
-    return math.copysign((1 - curve.progression) * beyond + curve.progression * beyond**3, deflection)
+    return math.copysign((1 - progression) * beyond + progression * beyond**3, deflection)
 
 
 LONGEST = 256  # characters; a message has about 80, with all wheels 220
@@ -109,46 +88,26 @@ class Message:
     dead_man: bool
 
 
-def parse(raw: str | bytes) -> Message:
-    """Parse a message. Raises `Problem`, and no other exception, for an invalid one."""
-    if isinstance(raw, bytes):
-        raise Problem(f"message: expected text, found {len(raw)} bytes of binary data")
-    # checked before parsing, so that a huge message is not copied
-    if len(raw) > LONGEST:
-        raise Problem(f"message: expected at most {LONGEST} characters, found {len(raw)}")
+def parse(raw: str | bytes) -> Message | None:
+    """The message in a text; None for anything else."""
+    if isinstance(raw, bytes) or len(raw) > LONGEST:  # before parsing, so that a huge message is not copied
+        return None
     try:
-        data = json.loads(raw, parse_constant=_constant)
-    except (ValueError, RecursionError) as error:
-        raise Problem("message: expected JSON, found something else") from error
+        data = json.loads(raw)
+    except (ValueError, RecursionError):
+        return None
     if not isinstance(data, dict) or set(data) != KEYS:
-        raise Problem(f"message: expected an object with {', '.join(sorted(KEYS))}, found {_short(data)}")
-    number, dead_man = data["n"], data["dead_man"]
-    if type(number) is not int or not 0 <= number < 2**53:
-        raise Problem(f"message: n: expected a whole number from 0 to 2^53 - 1, found {_short(number)}")
-    if not isinstance(dead_man, bool):
-        raise Problem(f"message: dead_man: expected true or false, found {_short(dead_man)}")
-    return Message(number, _sticks(data["sticks"]), dead_man)
-
-
-def _constant(word: str) -> float:
-    raise ValueError(f"{word} is not JSON")
-
-
-def _sticks(value: Any) -> StickAxes:
-    if not isinstance(value, list) or not 4 <= len(value) <= 4 + MOST_WHEELS:
-        expected = f"4 to {4 + MOST_WHEELS} numbers"
-        raise Problem(f"message: sticks: expected {expected}, found {_short(value)}")
-    for deflection in value:
-        # a bool is an int in Python; the comparison is False for NaN
-        if type(deflection) not in (int, float) or not -1 <= deflection <= 1:
-            raise Problem(f"message: sticks: expected numbers from -1 to 1, found {_short(deflection)}")
-    left_x, left_y, right_x, right_y, *wheels = map(float, value)
-    return StickAxes(left_x, left_y, right_x, right_y, tuple(wheels))
-
-
-def _short(value: Any) -> str:
-    text = ascii(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+        return None
+    number, axes, dead_man = data["n"], data["sticks"], data["dead_man"]
+    if type(number) is not int or not 0 <= number < 2**53 or not isinstance(dead_man, bool):
+        return None
+    if not isinstance(axes, list) or not 4 <= len(axes) <= 4 + MOST_WHEELS:
+        return None
+    # a bool is an int in Python; the comparison is False for NaN
+    if not all(type(x) in (int, float) and -1 <= x <= 1 for x in axes):
+        return None
+    left_x, left_y, right_x, right_y, *wheels = map(float, axes)
+    return Message(number, StickAxes(left_x, left_y, right_x, right_y, tuple(wheels)), dead_man)
 
 
 NO_LOADS: Mapping[str, float] = MappingProxyType({})

@@ -17,7 +17,7 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import grouped
-from orchestrator.engine.network import Network, differing
+from orchestrator.engine.network import Network
 from orchestrator.fmi.cosimulation import APERIODIC, CHANGED, UNKNOWN, RunningFmu
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled
@@ -209,8 +209,8 @@ class Clocks:
         values, texts = (network.reals.values, network.integers.values), len(network.texts.changes)
         before = [array.copy() for array in values]
         network.binding.run(programs[1])
-        found = any(differing(*pair).any() for pair in zip(values, before, strict=True))
-        return found or len(network.texts.changes) > texts
+        same = all(np.array_equal(*pair, equal_nan=True) for pair in zip(values, before, strict=True))
+        return not same or len(network.texts.changes) > texts
 
     def saved(self) -> list[Any]:
         """Intervals and next ticks, for a saved run."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from ctypes import c_double
+from functools import partial
 from math import ulp
 from typing import Any
 
@@ -23,7 +24,7 @@ from orchestrator.base.errors import Ended, Problem
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.clocks import Clocks
 from orchestrator.engine.coupling_inputs import CouplingInputs
-from orchestrator.engine.network import Network, differing
+from orchestrator.engine.network import Network
 from orchestrator.engine.result import Event
 from orchestrator.engine.stepped_fmu import SteppedFmu
 from orchestrator.engine.time_grid import Grid
@@ -65,21 +66,15 @@ class Instants:
             lower = [s for i in component.inputs if (s := inputs.inputs[i]).fmu_degree < inputs.h.DEGREE]
             held = any(s.requested_degree and not s.fmu_degree for s in lower)
             struct.locates = isinstance(component.slave, SteppedFmu) or (interface.early_return and not held)
-            exact, near, states = (
-                inputs.h.EXACT,
-                inputs.h.NEAR_EVENT,
-                interface.model.structure["derivatives"],
-            )
+            exact, near = inputs.h.EXACT, inputs.h.NEAR_EVENT
+            states = interface.model.structure["derivatives"]
             for s in lower:
                 s.at_end = interface.event_mode and (near if s.fmu_degree and states else exact)
         sources = {c.target: str(c.source) for c in network.connections}
-        arrays = [(array, *network.discrete[array.name]) for array in (network.reals, network.integers)]
-        self._discrete = [
-            (array, array.indices(ports), before, [sources.get(p, str(p)) for p in ports])
-            for array, ports, before in arrays
-            if ports
-        ]
+        self._discrete = [sources.get(p, str(p)) for ports, _ in network.discrete.values() for p in ports]
         self.happened = list[Event]()
+        self._changed = dict[str, None]()  # the signals, not continuous, that change in this instant
+        self._updates = {name: slave.update for name, slave in self._members.items()}
         self._close, self._latest = 0, deque[str](maxlen=10)
         self._clocks: Clocks | None = None
         self._time = times.start
@@ -95,7 +90,7 @@ class Instants:
         """The first instant, at the start, from which on clocks tick."""
         if any(slave.interface.has_clocks for slave in self._members.values()):
             self._clocks = Clocks(self._network, self._times.start)
-        self._instant(self._times.start, {})
+        self._instant(self._times.start)
 
     def saved(self) -> list[Any]:
         """The events so far, for a saved run."""
@@ -120,9 +115,9 @@ class Instants:
             for name, slave in self._members.items()
             if slave.next_event <= t + self._state.tolerance and name not in asked
         ]
-        changed = dict[str, None]()
+        changed = self._changed = dict[str, None]()
         try:
-            self._instant(t, changed)
+            self._instant(t)
         except Ended:
             self._append(t, [*asked, *changed])
             raise
@@ -142,18 +137,18 @@ class Instants:
         self.happened.append(Event(t, tuple(dict.fromkeys(causes))))
         self._sink.append_events(self.happened[-1:])
 
-    def _instant(self, t: float, changed: dict[str, None]) -> None:
-        """Take all members through event mode; `changed` gets the signals, not continuous, that change.
+    def _instant(self, t: float) -> None:
+        """Take all members through event mode; `_changed` gets the signals, not continuous, that change.
 
         Ticks at one time that are not due together, as those after a countdown of 0, follow each other.
         """
         if not self._clocks:
-            return self._once(t, changed)
+            return self._once(t)
         state = self._state
         for _ in range(MAX_EVENT_ITERATIONS):
             due = self._clocks.begin(t, state.tolerance)
-            changed |= dict.fromkeys(map(str, due))
-            self._once(t, changed)
+            self._changed |= dict.fromkeys(map(str, due))
+            self._once(t)
             if self._clocks.next > t + state.tolerance:
                 state.next = min(state.next, self._clocks.next)
                 return None
@@ -162,16 +157,11 @@ class Instants:
             f"{names}: t = {t:.9g} s: expected time to pass between ticks, got {MAX_EVENT_ITERATIONS}"
         )
 
-    def _once(self, t: float, changed: dict[str, None]) -> None:
-        def copied() -> list[str]:
-            found = self._copied(t)
-            changed.update(dict.fromkeys(found))
-            return found
-
+    def _once(self, t: float) -> None:
         for slave in self._members.values():
             slave.enter_events()
         where = f"{self._network.system.name}: t = {t:.9g} s"
-        ended, times = settle(where, {n: slave.update for n, slave in self._members.items()}, copied)
+        ended, times = settle(where, self._updates, partial(self._copied, t))
         if self._clocks:
             self._clocks.finish()
         for slave in self._members.values():
@@ -186,17 +176,14 @@ class Instants:
 
     def _copied(self, t: float) -> list[str]:
         """Copy values along all connections; returns the signals, not continuous, that have changed."""
-        network, found = self._network, list[str]()
-        texts = len(network.texts.changes)
+        network, texts = self._network, len(self._network.texts.changes)
         network.binding.call("event_exchange", c_double(t))
-        for array, indices, before, sources in self._discrete if self._state.changed else ():
-            values = array.values[indices]
-            if (places := np.flatnonzero(differing(values, before))).size:
-                found += [sources[i] for i in places]
-                before[:] = values
+        found = [self._discrete[place] for place in network.changes[: self._state.changed].tolist()]
         if found:
             for call in network.instant_calls:
                 call()
         if self._clocks:
             found += self._clocks.propagate()
-        return [*found, *(name for _, name, _ in network.texts.changes[texts:])]
+        found += [name for _, name, _ in network.texts.changes[texts:]]
+        self._changed |= dict.fromkeys(found)
+        return found

@@ -21,7 +21,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,8 @@ from typing import TYPE_CHECKING, Any
 from orchestrator.worker.process import GARBLED, LimitExceeded, Pool, Worker, read_file
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from orchestrator.data.trace_writer import Array, Points, RowLayout, TraceSink
     from orchestrator.engine.job import Job
     from orchestrator.engine.result import Event, RunEnd
@@ -353,6 +355,37 @@ def main(channel: Channel) -> None:
         os.chdir(channel.folder)  # the user's folder may be removed
 
 
+class KeptFile:
+    """A file that stays open between its lines, as to open it takes longer than an instant.
+
+    An FMU may close it, also to put another one in its place: then it is opened again.
+
+    descriptor   of the file; -1 before its first line
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self.descriptor, self._opened = path, -1, os.stat_result((0,) * 10)
+
+    def append(self, text: str) -> None:
+        """Append lines, which are lost if the file cannot be written."""
+        with suppress(OSError):
+            if not self._is_open():
+                self.descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+                self._opened = os.fstat(self.descriptor)
+            os.write(self.descriptor, text.encode())
+
+    def close(self) -> None:
+        """Close the file, if it is still open."""
+        if self._is_open():
+            os.close(self.descriptor)
+
+    def _is_open(self) -> bool:
+        try:
+            return os.path.samestat(os.fstat(self.descriptor), self._opened)
+        except OSError:
+            return False
+
+
 def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.base.errors import Problem
     from orchestrator.data.trace_writer import TraceSink
@@ -364,7 +397,7 @@ def _run(channel: Channel, task: RunTask) -> None:
     channel.put("time", task.job.times.start)
     os.chdir(task.directory)
     sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
-    reported, kept = 0.0, channel.folder / f"events-{task.number}"
+    reported = 0.0
     for earlier in channel.folder.glob("events-*"):
         with suppress(OSError):  # an FMU has removed it
             earlier.unlink()
@@ -380,12 +413,7 @@ def _run(channel: Channel, task: RunTask) -> None:
             channel.put("points", points)
 
         def append_events(self, events: Any) -> None:
-            lines = (json.dumps((event.time, event.causes)) + "\n" for event in events)
-            with (
-                suppress(OSError),
-                kept.open("a", encoding="utf-8") as file,
-            ):  # a message takes longer than an instant
-                file.writelines(lines)
+            kept.append("".join(json.dumps((event.time, event.causes)) + "\n" for event in events))
 
         def append_errors(self, *errors: Any) -> None:
             if task.keeps_errors:
@@ -420,4 +448,5 @@ def _run(channel: Channel, task: RunTask) -> None:
 
     job = replace(task.job, options={**task.job.options, "open": open_fmu})
     cores = 1 if task.many else None
-    run_job(job, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate, cores)
+    with closing(KeptFile(channel.folder / f"events-{task.number}")) as kept:
+        run_job(job, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate, cores)

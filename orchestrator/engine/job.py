@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -53,8 +53,6 @@ if TYPE_CHECKING:
     from orchestrator.fmi.calls import Slave
 
 ENDS_EARLY = "the run ends early: "  # begins the note on a run that an FMU asked to end
-
-Opener: TypeAlias = "Callable[[Component], Slave]"
 
 
 def open_slave(component: Component) -> Slave:

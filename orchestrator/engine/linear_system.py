@@ -325,6 +325,22 @@ class LinearPrediction:
         binding.simulation.prediction = binding.pointer(struct)
 
 
+class ErrorSystem(LinearSystem):
+    """A linear system with the other arrays that carry errors, for native/error_propagation.c."""
+
+    def __init__(self, n: int, m: int) -> None:
+        super().__init__(n, m)
+        wide, broad = self.n_padded, self.m_padded
+        self.e, self.stages, self.factors = np.zeros(wide), np.zeros((ERROR_ROWS, wide)), np.zeros((n, wide))
+        self.w, self.middle, self.diagonal = np.zeros(broad), np.zeros(broad), np.zeros(n)
+        self.defects, self.lengths, self.starts = np.zeros((m, 2)), np.zeros(3), np.zeros(2)
+
+    def struct(self, binding: Binding, **others: Any) -> Any:
+        """`ErrorPropagation` of engine.h with these arrays and other members."""
+        arrays = binding.all_at(self, "e stages factors w middle defects lengths diagonal starts")
+        return binding.h.ErrorPropagation(system=self.system_struct(binding), **arrays, **others)
+
+
 class ErrorPropagation:
     """The linear system that carries the errors of a run, and its structures for C.
 
@@ -344,11 +360,7 @@ class ErrorPropagation:
         if not self._inputs and not self.missing:
             self.missing = "no connected input influences a declared state"
         n = sum(len(self._slaves[k].interface.states) for k in self._members)
-        self._system = LinearSystem(n, m := len(self._inputs))
-        wide, broad = self._system.n_padded, self._system.m_padded
-        self.e, self.stages, self.factors = np.zeros(wide), np.zeros((ERROR_ROWS, wide)), np.zeros((n, wide))
-        self.w, self.middle, self.diagonal = np.zeros(broad), np.zeros(broad), np.zeros(n)
-        self.defects, self.lengths, self.starts = np.zeros((m, 2)), np.zeros(3), np.zeros(2)
+        self._system = ErrorSystem(n, len(self._inputs))
         self._outputs = [
             Port(name, v.name)
             for name, slave in network.slaves.items()
@@ -407,14 +419,13 @@ class ErrorPropagation:
     def fill(self, binding: Binding) -> None:
         """Fill the C structures."""
         h = binding.h
-        self._struct = h.ErrorPropagation(
-            system=self._system.system_struct(binding),
+        self._struct = self._system.struct(
+            binding,
             members=binding.pointer(self._member_structs(binding)),
             inputs=binding.pointer(
                 binding.array(h.ErrorInput, [self._input_struct(h, u) for u in self._inputs])
             ),
-            **binding.all_at(self, "e stages factors w middle defects y squares largest lengths diagonal"),
-            **binding.all_at(self, "starts times rows values lowest highest"),
+            **binding.all_at(self, "y squares largest times rows values lowest highest"),
             output_reads=binding.program(self._reads),
             member_count=len(self._members),
             output_count=len(self._outputs),
@@ -439,9 +450,8 @@ class ErrorPropagation:
         first_state = first_input = first_output = 0
         structs = binding.array(member, [member()] * len(self._members))
         self._reads = list[Call]()
-        for i, k in enumerate(self._members):
-            slave = self._slaves[k]
-            states, inputs = list(slave.interface.states), self._inputs_of(slave.name)
+        for i, (k, linear) in enumerate(zip(self._members, self._system.linearised, strict=True)):
+            slave, states, inputs = self._slaves[k], linear.states, linear.inputs
             others = self._other_connections(slave.name, set(inputs), index)
             outputs = [p.variable for p in self._outputs if p.component == slave.name]
             knowns = [*states, *inputs, *(c.target.variable for c in others)]
@@ -464,9 +474,6 @@ class ErrorPropagation:
             first_input += len(inputs)
             first_output += len(outputs)
         return structs
-
-    def _inputs_of(self, component: str) -> list[str]:
-        return [u.target.variable for u in self._inputs if u.target.component == component]
 
     def _other_connections(
         self, component: str, inputs: set[str], index: dict[Port, int]

@@ -158,17 +158,14 @@ class RunningComponent:
             self._saved_state = None
 
 
-SCENARIO_STAGE = -1  # stage of the inputs that a scenario sets, before all others
-LOOP_STAGE = -2  # ports of algebraic loop i have the stage LOOP_STAGE - i
-
-
 @dataclass(frozen=True)
 class Block:
     """A slice of an array: variables of one component, one FMI type, and the same stages of the exchange.
 
     They belong to the same clocks, if they belong to any.
 
-    first   index of the first variable
+    stages   none for variables of algebraic loops, scenarios and clocks, which others read and set
+    first    index of the first variable
     """
 
     component: str
@@ -186,15 +183,20 @@ class SignalArray:
         self.index: dict[Port, int] = {}
         self.values: Buffer = np.zeros(0, dtype)
 
-    def add(self, system: System, stages: Mapping[Port, tuple[int, ...]]) -> list[Block]:
-        """Append ports, grouped into blocks."""
+    def add(
+        self,
+        system: System,
+        stages: Mapping[Port, tuple[int, ...]],
+        kind: Callable[[Port], tuple[bool, ...]] = lambda _: (),
+    ) -> list[Block]:
+        """Append ports, grouped into blocks, by stages and kind."""
 
-        def group_of(port: Port) -> tuple[str, str, tuple[int, ...], tuple[int | None, ...]]:
+        def group_of(port: Port) -> tuple[Any, ...]:
             variable = system.variable(port)
-            return port.component, variable.function_type, stages[port], variable.clocks
+            return port.component, variable.function_type, stages[port], variable.clocks, kind(port)
 
         blocks = []
-        for (component, _, same, _), ports in grouped(_by_array(system, stages), group_of).items():
+        for (component, _, same, *_), ports in grouped(_by_array(system, stages), group_of).items():
             blocks.append(Block(component, same, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
@@ -208,12 +210,6 @@ class SignalArray:
     def indices(self, ports: Iterable[Port]) -> NDArray[np.int64]:
         """The indices of ports, shape (n,)."""
         return np.array([self.index[p] for p in ports], dtype=np.int64)
-
-
-def differing(values: Buffer, before: Buffer) -> NDArray[np.bool_]:
-    """Which values are others than before? NaN stays NaN."""
-    different: NDArray[np.bool_] = (values != before) & ((values == values) | (before == before))
-    return different
 
 
 def _by_array(system: System, ports: Iterable[Port]) -> list[Port]:
@@ -245,7 +241,7 @@ class Network:
     with_events      components whose FMUs take inputs that are not continuous in event mode
     instant_calls    calls that set inputs that are not continuous, for FMUs that take them in event mode only
     discrete         array -> those inputs, and others that are not continuous and influence a state; and
-                     their values at the last instant
+                     their values at the last instant; changes: places of those that have changed
     """
 
     def __init__(
@@ -300,9 +296,11 @@ class Network:
             c.target for c in self.connections if not (system.is_continuous(c) or self._clocked(c.target))
         ]
         watched = dict.fromkeys([*held, *(p for p in others if p in self._influential)])
-        found = {a.name: [p for p in watched if p in a.index] for a in (self.reals, self.integers)}
-        dtypes = {"reals": np.float64, "integers": np.int64}
-        self.discrete = {name: (ports, np.zeros(len(ports), dtypes[name])) for name, ports in found.items()}
+        self.discrete = {}
+        for array in (self.reals, self.integers):
+            ports = [p for p in watched if p in array.index]
+            self.discrete[array.name] = ports, np.zeros(len(ports), array.values.dtype)
+        self.changes = np.zeros(len(watched), np.int32)
         if scenario:
             calls = self.set_calls({p for p in (*scenario.columns, *self.rates) if not self._is_held(p)})
             self.driven = DrivenInputs(scenario, system, self.reals.index, self.integers.index, calls)
@@ -337,10 +335,6 @@ class Network:
         """The outputs of a component that feed inputs."""
         of = {c.source for c in self.connections if c.source.component == component}
         return {port for port in of if not self._clocked(port)}
-
-    def get_output_calls(self, component: str) -> list[Call]:
-        """Calls that read all connected outputs of a component, for sequential masters."""
-        return self.get_calls(self.connected_outputs(component))
 
     def copy_and_set_calls(self, connections: Sequence[Connection]) -> list[Any]:
         """Calls that copy values along connections and set the inputs."""
@@ -400,26 +394,26 @@ class Network:
         numeric = {p for p in requested if self.system.variable(p).is_number}
         outputs = {p: stages for p, stages in self.order.stages.items() if p in numeric}
         inputs = {c.target: self.order.stages[c.source] for c in self.connections}
-        # blocks of a loop take part in no stage of the exchange
-        for i, (cycle, _) in enumerate(self.order.cycles):
-            outputs |= {c.source: (LOOP_STAGE - i,) for c in cycle.connections}
-            inputs |= {c.target: (LOOP_STAGE - i,) for c in cycle.connections}
-        inputs |= {p: (SCENARIO_STAGE,) for p in driven}
+        loops = [c for cycle, _ in self.order.cycles for c in cycle.connections]
+        outputs |= dict.fromkeys((c.source for c in loops), ())
+        inputs |= dict.fromkeys((*(c.target for c in loops), *driven), ())
         read = [o.source for o in self.system.outputs.values() if o.source.component]  # also local variables
         others = [*self.system.exposed, *read] if recorded is None else recorded
         others = [p for p in others if self.system.variable(p).is_number]
         given, last = {*self.system.ports("input")}, self._stages - 1
         outputs |= {p: (0 if p in given else last,) for p in others if p not in outputs and p not in inputs}
-        outputs, inputs = (
-            {p: () if self._clocked(p) else stages for p, stages in of.items()} for of in (outputs, inputs)
-        )
+        for of in (outputs, inputs):
+            of |= dict.fromkeys(filter(self._clocked, of), ())
+        driven = {*driven}
+
+        def kind(port: Port) -> tuple[bool, bool]:
+            return self._is_held(port), port in driven
+
         output_blocks, input_blocks = Blocks(), Blocks()
         for array in (self.reals, self.integers):
             for stages, blocks in ((outputs, output_blocks), (inputs, input_blocks)):
-                for held in (False, True):  # in blocks of their own
-                    same = {p: s for p, s in stages.items() if held is self._is_held(p)}
-                    of_array = {p: s for p, s in same.items() if self._array(p) is array}
-                    blocks += [(array, b) for b in array.add(self.system, of_array)]
+                of_array = {p: same for p, same in stages.items() if self._array(p) is array}
+                blocks += [(array, b) for b in array.add(self.system, of_array, kind)]
         return output_blocks, input_blocks
 
     def _exchange(self, output_blocks: Blocks, input_blocks: Blocks) -> list[Any]:
@@ -457,6 +451,7 @@ class Network:
         sim.first_reads, sim.exchange = map(binding.program, (self.first_reads, self.exchange_calls))
         sim.loops = binding.at(np.array([loop.address for loop in self.loops], np.uint64))
         sim.loop_count = len(self.loops)
+        sim.events.changes = binding.at(self.changes)
         for array in (self.reals, self.integers):
             ports, values = self.discrete[array.name]
             kind = array.name.removesuffix("s")

@@ -76,7 +76,7 @@ class Result(Mapping[str, NDArray[np.float64]]):
     def write(self, path: str | Path) -> Path:
         """Write the trace as .csv, .parquet or .mat, and the metadata of the run next to it."""
         file = write_trace(self.trace, path, metadata_text(self, ""))
-        write_metadata(self, file)
+        write_whole(metadata_file(file), metadata_text(self, Location(file).sha256))
         write_events(self.card, file)
         return file
 
@@ -617,12 +617,6 @@ def metadata_text(
     """The metadata of a run, for the file next to its trace with this checksum."""
     data = {"sha256": sha256} | asdict(metadata(result, options, signals))
     return json.dumps(data, indent=1, ensure_ascii=False, default=str) + "\n"
-
-
-def write_metadata(result: Result, trace: Path) -> Path:
-    """Write the metadata of a run next to its trace, which exists."""
-    text = metadata_text(result, Location(trace).sha256)
-    return write_whole(metadata_file(trace), text)
 
 
 EVENTS, TEXTS = ("time", "causes"), ("time", "signal", "text")  # headings of files

@@ -307,15 +307,8 @@ class SimulationLoop:
             if not errors.missing:
                 errors.fill(self._binding)
                 self.errors = errors
-        of_prediction = prediction.notes if prediction else ()
-        self.notes = (
-            *of_state,
-            *late_notes(job.system, job.coupling),
-            *plan.notes,
-            *_rollback_notes(job),
-            *inputs.notes,
-            *of_prediction,
-        )
+        self.notes = (*of_state, *late_notes(job.system, job.coupling), *plan.notes, *_rollback_notes(job))
+        self.notes += (*inputs.notes, *(prediction.notes if prediction else ()))
 
     def _initialise(self, job: Job) -> None:
         """Initialise all FMUs."""
@@ -453,9 +446,8 @@ class SimulationLoop:
     def _plan_rollback(self) -> None:
         """Decide which components save their states or step in halves, and whether all can go back."""
         iterates = self._plan.passes > 1 and len(self._plan.repeated) > 0
-        saves = (
-            iterates or (self._control is not None and self._control.repeats) or self._instants is not None
-        )
+        repeats = self._control is not None and self._control.repeats
+        saves = iterates or repeats or self._instants is not None
         pairs = [(c, c.slave.interface) for c in self._components]
         for c, interface in pairs:
             c.struct.rollback = saves and interface.rollback
@@ -472,9 +464,9 @@ class SimulationLoop:
             last = prediction is not None and k == order[-1] and not component.struct.halved
             component.held_inputs = network.copy_and_set_calls(held[k])
             reads_outputs = plan.sequential and not last
-            component.output_reads = network.get_output_calls(name) if reads_outputs else []
+            read = network.connected_outputs(name) if reads_outputs else set()
+            component.output_reads = network.get_calls(read)
             # without feed-through outputs are the same before these inputs are set exactly: FMI 2.0, 4.2.4
-            read = network.connected_outputs(name) if reads_outputs else ()
             direct = (u for y in read for u in component.slave.interface.direct_inputs(y.variable))
             wide = component.simplified
             needed = wide if component.slope_reads else wide.intersection(direct)

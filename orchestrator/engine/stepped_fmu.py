@@ -82,11 +82,8 @@ class SteppedFmu(ExchangeFmu):
         """Leave initialisation mode, with the first event; ends in continuous-time mode."""
         super().exit()
         self._plant.begin(self._start)
-        self._time, self._integration = (
-            self._start,
-            _Stepped(self, self._plant, self._tolerance, self._course),
-        )
-        self.next_event = self._plant.next_event
+        self._time, self.next_event = self._start, self._plant.next_event
+        self._integration = _Stepped(self, self._plant, self._tolerance, self._course)
 
     # ---- variables
 

@@ -427,8 +427,9 @@ class RunningFmu:
         return Fraction(repr(seconds)), results[-1]
 
     def enter_events(self) -> None:
-        """Enter event mode, at the end of a step."""
-        self._enter_events()
+        """Enter event mode, at the end of a step; after its initialisation an FMU may be there."""
+        if not self.in_events:
+            self._enter_events()
         self.in_events = True
 
     @cached_property
@@ -454,10 +455,6 @@ class RunningFmu:
         """An event of this FMU alone, in which variables are set."""
         self.enter_events()
         write()
-        self._settle()
-
-    def _settle(self) -> None:
-        """Update discrete states alone, and leave event mode."""
         ended, _ = settle(self.name, {self.name: self.update})
         self.leave_events()
         if ended:
@@ -504,7 +501,7 @@ class CoSimulationFmu(RunningFmu):
         super().setup(start, stop, tolerance)
 
     def exit(self) -> None:
-        """Leave initialisation mode, with the first event if there is event mode, and enter step mode.
+        """Leave initialisation mode, and enter step mode, or event mode if there is one, for the first event.
 
         Before, clocks that tick by time tell intervals that are not declared (FMI 3.0.2, 2.2.8.3).
         """
@@ -525,9 +522,7 @@ class CoSimulationFmu(RunningFmu):
             if qualifier == CHANGED or (qualifier != UNKNOWN and kind != "countdown"):
                 self.first_ticks[v.name] = interval, interval if kind in APERIODIC else self.shift(v)
         super().exit()
-        if self.event_mode:
-            self.in_events = True
-            self._settle()
+        self.in_events = self.event_mode
 
     def close(self) -> None:
         """Terminate and free the instance, unload the library. May be repeated."""

@@ -25,7 +25,6 @@ from orchestrator.data.table import Array
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.job import Job, open_slave
 from orchestrator.engine.network import Network
-from orchestrator.engine.recorder import EnergyMonitor
 from orchestrator.engine.result import BondEnergy, energies_above, unreliable_energies
 from orchestrator.engine.scenario import DrivenInputs
 from orchestrator.engine.simulation_loop import bonds_of, step_control
@@ -35,7 +34,7 @@ from orchestrator.ssp.system import Component, Connection, Port, System
 
 ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
-COMMON = ("target", "source", "source_component", "order", "autonomous", "noisy", "factor", "offset", "scale")
+COMMON = ("source_component", "order", "autonomous", "noisy", "factor", "offset", "scale")
 COMPILING = "compiling the FMUs for this processor, which is done once; lanes=False compiles nothing"
 
 
@@ -132,6 +131,7 @@ class Lanes:
     job       the run of one machine
     signals   recorded variables
     models    compiled, by component; index: component -> its number
+    places    index of each variable in the memory of `Instances`
     """
 
     def __init__(self, job: Job, signals: Sequence[Port]) -> None:
@@ -150,7 +150,7 @@ class Lanes:
             if self._network.loops:
                 raise NotInLanes(self._network.loops[0].cycle.text)
             self._instances = Instances(self)
-            self._network.reals.index = {
+            self.places = {
                 Port(model.component, name): first + reference
                 for model, first in zip(self.models, self._instances.values, strict=True)
                 for name, reference in model.names.items()
@@ -159,11 +159,12 @@ class Lanes:
             self._inputs = CouplingInputs(self._network, self.plan)
             self.control = step_control(job)
             self.bonds = bonds_of(job, self._network)
-            monitor = EnergyMonitor(self._network, self._inputs.varying, self.bonds)
-            ends = np.array([self._input(p)[1] for b in self.bonds for p in (b.effort, b.flow)], np.int64)
-            indices = {"indices": monitor.indices, "read_indices": monitor.indices, "set_indices": ends}
-            self._energy = {name: self.at(array) for name, array in indices.items()}
-            self._energy |= {"varied": self.at(monitor.varied), "count": len(ends)}
+            ports = [p for b in self.bonds for p in (b.effort, b.flow)]
+            ends = np.array([self._input(p)[:2] for p in ports], np.int64).reshape(-1, 2)
+            now, last = (self.at(np.ascontiguousarray(part)) for part in ends.T)
+            varied = self.at(np.array([p in self._inputs.varying for p in ports], np.uint8))
+            self._energy = {"indices": now, "read_indices": now, "set_indices": last, "varied": varied}
+            self._energy["count"] = len(ports)
             self.inputs, self.slopes = self._coupling_inputs()
             self._make_programs()
             self.driven, self.scenario = self._scenario()
@@ -213,11 +214,11 @@ class Lanes:
         """Index of an input in the memory, that of its last set value, number of its component."""
         k = self.index[port.component]
         number = self.reference(port) - self.models[k].struct.parameters
-        return self._network.reals.index[port], self._instances.last_set[k] + number, k
+        return self.places[port], self._instances.last_set[k] + number, k
 
     def _wire(self, c: Connection, checked: bool = False) -> Any:
-        source = self._network.reals.index[c.source]
-        return header().Wire(c.map.factor, c.map.offset, source, *self._input(c.target), checked)
+        ends = self.places[c.source], *self._input(c.target)
+        return header().Wire(c.map.factor, c.map.offset, *ends, checked)
 
     def _coupling_inputs(self) -> tuple[NDArray[Any], NDArray[np.int64]]:
         """The inputs that the master varies or watches, and the index of each source's slope; -1: none."""
@@ -227,10 +228,12 @@ class Lanes:
         for i, (port, s) in enumerate(zip(self._inputs.ports, self._inputs.inputs, strict=True)):
             for name in COMMON:
                 rows[name][i] = getattr(s, name)
+            rows["target"][i] = self.places[port]
+            rows["source"][i] = -1 if s.source < 0 else self.places[sources[port]]
             rows["slope_factor"][i] = s.slope_factor
             rows["fmu_degree"][i], rows["requested_degree"][i] = h.DEGREE, h.DEGREE * (s.requested_degree > 0)
             if wire := self._inputs.rate_wires.get(port):  # as in a run: the value of the rate output
-                slopes[i] = self._network.reals.index[wire.source]
+                slopes[i] = self.places[wire.source]
             elif s.source_slope:
                 source = sources[port]
                 slopes[i] = self._instances.slopes[self.index[source.component]] + self.reference(source)
@@ -242,7 +245,7 @@ class Lanes:
         if self._network.driven is None:
             return 0, {}
         assert self.job.scenario is not None
-        driven = DrivenInputs(self.job.scenario, self.system, self._network.reals.index, {}, ())
+        driven = DrivenInputs(self.job.scenario, self.system, self.places, {}, ())
         inputs = [self._inputs.ports.index(port) for port in driven.continuous]
         ports = [(port, False) for port in driven.continuous] + [(rate, True) for rate in self._network.rates]
         wires = [h.Wire(1.0, 0.0, 0, *self._input(port), checked) for port, checked in ports]

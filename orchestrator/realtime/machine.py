@@ -5,9 +5,10 @@ import math
 import os
 import threading
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -168,11 +169,12 @@ def _details(status: MachineStatus) -> dict[str, Any]:
 
 # distance of the frame numbers of two starts, because the old process may go on while the new one starts
 APART = 10_000
+INTERVAL = 0.1  # [s] between two looks for a failure
 POLL = 2e-3  # [s] between two readings of the state while waiting for the start
 
 
 class RealTimeMachine:
-    """A machine that runs in real time; implements `setup.Machine`.
+    """A machine that runs in real time.
 
     Each start or restart has its own process and memory. The frame numbers continue over restarts.
     """
@@ -295,10 +297,11 @@ class RealTimeMachine:
 
     def _open(self, setup: Setup, before: int) -> MachineProcess:
         """Start a process. before: frame number that is shown until its first frame."""
-        plain = _plain(setup)
-        plain.check()
-        process = MachineProcess(plain, before + 1, self._serial)
-        self._commanded = np.full(len(plain.axes), np.nan)
+        setup.check()
+        # a mapping of another type may be one that cannot be pickled
+        setup = replace(setup, swap=dict(setup.swap), set=dict(setup.set), fault=dict(setup.fault))
+        process = MachineProcess(setup, before + 1, self._serial)
+        self._commanded = np.full(len(setup.axes), np.nan)
         self._send(process)
         return process
 
@@ -311,19 +314,6 @@ class RealTimeMachine:
         process.shared.write_command(Command(self._playing, self._speed, self._serial, self._commanded))
 
 
-def _plain(setup: Setup) -> Setup:
-    """The setup with plain types, so that it can be pickled."""
-    return replace(
-        setup,
-        system=str(setup.system),
-        axes=tuple(setup.axes),
-        signals=tuple(setup.signals),
-        swap={name: str(fmu) for name, fmu in setup.swap.items()},
-        parameters=tuple(str(name) for name in setup.parameters),
-        set=dict(setup.set),
-    )
-
-
 def _number(name: str, value: Any) -> float:
     """Convert to a finite number. Raises `Problem`."""
     try:
@@ -333,3 +323,38 @@ def _number(name: str, value: Any) -> float:
     if not np.isfinite(number):
         raise Problem(f"axis {name}: expected a finite number, got {repr(value)[:40]}")
     return number
+
+
+@contextmanager
+def failures_reported(
+    machine: RealTimeMachine, save: Callable[[], Path], report: Callable[[str], object]
+) -> Iterator[None]:
+    """Context that reports each failure in one line; it closes the machine at its end.
+
+    save   saves what the machine has recorded, for each failure; raises Problem if that is nothing
+    """
+    ended, failed = threading.Event(), False
+
+    def look() -> None:
+        nonlocal failed
+        frame, before = machine.latest(), failed
+        failed = frame.state == State.FAILED
+        if failed and not before:
+            saved = ""
+            with suppress(Problem):
+                saved = f"; the session until then is in {save()}"
+            report(f"{frame.message}{saved}")
+
+    def watch() -> None:
+        while not ended.wait(INTERVAL):
+            look()
+
+    watching = threading.Thread(target=watch, daemon=True)
+    watching.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watching.join()
+        machine.close()
+        look()  # the FMUs may have failed at the end

@@ -1,22 +1,12 @@
-"""Setup of a machine in real time, its frames, the interface `Machine` that a page uses, and its failures."""
+"""Setup of a machine in real time, and its frames."""
 
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import isfinite
-from pathlib import Path
-from typing import Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace
-
-INTERVAL = 0.1  # [s] between two looks at the state
 
 
 @dataclass(frozen=True)
@@ -148,66 +138,3 @@ class Frame:
     state: State
     message: str
     timing: Timing
-
-
-class Machine(Protocol):
-    """Interface of a machine that a page shows, such as `machine.RealTimeMachine`.
-
-    axes, signals   names of the values in `Frame`
-    command    command new values by axis; other axes go to rest; raises `Problem` for a value that is not
-               finite; a command expires
-    since      frames after this number that are in memory: numbers (n,), times (n,), axes (n, axes), values
-               (n, signals)
-    trace      all of the session that is in memory, with the axes among the signals
-    restart    start again, optionally with another setup
-    """
-
-    @property
-    def axes(self) -> Sequence[str]: ...
-    @property
-    def signals(self) -> Sequence[str]: ...
-
-    def command(self, values: Mapping[str, float]) -> None: ...
-    def play(self) -> None: ...
-    def pause(self) -> None: ...
-    def speed(self, factor: float) -> None: ...
-    def restart(self, setup: Setup | None = None) -> None: ...
-    def latest(self) -> Frame: ...
-    def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]: ...
-    def trace(self) -> Trace: ...
-    def close(self) -> None: ...
-
-
-@contextmanager
-def failures_reported(
-    machine: Machine, save: Callable[[], Path], report: Callable[[str], object]
-) -> Iterator[None]:
-    """Context that reports each failure in one line; it closes the machine at its end.
-
-    save   saves what the machine has recorded, for each failure; raises Problem if that is nothing
-    """
-    ended, failed = threading.Event(), False
-
-    def look() -> None:
-        nonlocal failed
-        frame, before = machine.latest(), failed
-        failed = frame.state == State.FAILED
-        if failed and not before:
-            saved = ""
-            with suppress(Problem):
-                saved = f"; the session until then is in {save()}"
-            report(f"{frame.message}{saved}")
-
-    def watch() -> None:
-        while not ended.wait(INTERVAL):
-            look()
-
-    watching = threading.Thread(target=watch, daemon=True)
-    watching.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        watching.join()
-        machine.close()
-        look()  # the FMUs may have failed at the end

@@ -23,17 +23,17 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.signals import bare_name
 from orchestrator.drive import sticks
-from orchestrator.drive.sticks import Message, ResponseCurve, StickAxes, parse
+from orchestrator.drive.sticks import Message, StickAxes, parse
 from orchestrator.drive.view_description import ViewDescription
-from orchestrator.realtime.setup import Frame, Machine
+from orchestrator.realtime.machine import RealTimeMachine
+from orchestrator.realtime.setup import Frame
 
 Described = Callable[[], ViewDescription]
 Clock = Callable[[], float]
 
-CURVE = ResponseCurve()
 STILL = 0.5  # s without a new frame, after which the machine counts as hanging
 log = logging.getLogger(__name__)
 HOLD = "hold Space (or Shift) and move with W A S D and the arrows"
@@ -113,14 +113,14 @@ def finite(value: object, name: str) -> float:
 
 
 class CommandGate:
-    """The only path from a browser to `Machine.command`.
+    """The only path from a browser to `RealTimeMachine.command`.
 
     live    True while the machine follows the sticks
     why     reason why it does not
     values  inputs that the driver has set by sliders
     """
 
-    def __init__(self, machine: Machine, described: Described, clock: Clock) -> None:
+    def __init__(self, machine: RealTimeMachine, described: Described, clock: Clock) -> None:
         """described: the current machine; clock: monotonic [s]."""
         self.machine, self._described = machine, described
         self.live, self.why = False, "nobody drives"
@@ -148,13 +148,12 @@ class CommandGate:
 
     def choose(self, name: str | None, mode: str | None) -> None:
         """Choose pattern or mode. Raises `Problem` for an unknown one."""
-        if name is not None:
-            sticks.pattern(name, self._described().patterns)
-            self._pattern = name
-        if mode is not None:
-            if mode not in self.modes:
-                raise Problem(f"mode: expected one of {', '.join(self.modes)}, found {mode}")
-            self._mode = mode
+        known = {"pattern": (name, tuple(self._described().patterns)), "mode": (mode, self.modes)}
+        for what, (chosen, names) in known.items():
+            if chosen is not None and chosen not in names:
+                expected = f"expected one of {', '.join(names) or 'none'}"
+                raise Problem(f"{what}: {expected}, found {chosen}{suggest(chosen, names)}")
+        self._pattern, self._mode = name or self._pattern, mode or self._mode
 
     # ---- commands to the machine
 
@@ -167,7 +166,7 @@ class CommandGate:
             described = self._described()
             if not (self.mode and self.pattern):
                 return self._fault("this machine has no input that sticks can drive")
-            commanded = sticks.functions(deflections, described.patterns[self.pattern], CURVE)
+            commanded = sticks.functions(deflections, described.patterns[self.pattern])
             mode = described.modes[self.mode]
             values = sticks.commands(commanded, mode, self.machine.axes, self.values)
             if sticks.uncommanded(values, self.machine.axes, frame.axes, described.modes.values()):
@@ -231,7 +230,7 @@ class ControlAuthority:
 
     def __init__(
         self,
-        machine: Machine,
+        machine: RealTimeMachine,
         described: Described,
         timeout: float = 0.25,
         silence_limit: float = 1.0,
@@ -304,9 +303,7 @@ class ControlAuthority:
         if not station.bucket.take(now):
             station.counts["flood"] += 1
             return False
-        try:
-            message = parse(raw)
-        except Problem:
+        if (message := parse(raw)) is None:
             station.counts["refused"] += 1
             if self._driver is station:
                 self._rest("a message was not valid")

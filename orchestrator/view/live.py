@@ -36,7 +36,7 @@ from orchestrator.base.signals import bare_name
 from orchestrator.data.table import Array
 from orchestrator.drive.findings import RESET, FindingTable
 from orchestrator.drive.page import page_data
-from orchestrator.realtime.setup import Machine
+from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.view.authority import ControlAuthority, OperatorStation, finite
 from orchestrator.view.choice import USUAL, MachineChoice, poses, variants
 from orchestrator.view.session import Session
@@ -86,7 +86,7 @@ class History:
     bins     number of the bin -> its extremes in order of time, shape (2, names)
     """
 
-    def __init__(self, machine: Machine, columns: Mapping[str, int], names: Sequence[str]) -> None:
+    def __init__(self, machine: RealTimeMachine, columns: Mapping[str, int], names: Sequence[str]) -> None:
         self.names = tuple(dict.fromkeys(names))
         self._machine = machine
         self._columns = [columns.get(name, -1) for name in self.names]  # the last one is NaN

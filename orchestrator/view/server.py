@@ -21,7 +21,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
 from orchestrator.drive.page import served
 from orchestrator.pages.html_page import json_values
-from orchestrator.realtime.setup import failures_reported
+from orchestrator.realtime.machine import failures_reported
 from orchestrator.view import access
 from orchestrator.view.access import Guard, rules
 from orchestrator.view.authority import ControlAuthority

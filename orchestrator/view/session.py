@@ -12,7 +12,7 @@ from orchestrator.data.trace_writer import write_trace
 from orchestrator.drive.page import replay_data
 from orchestrator.drive.view_description import by_bare_name
 from orchestrator.realtime.machine import RealTimeMachine
-from orchestrator.realtime.setup import Machine, Setup
+from orchestrator.realtime.setup import Setup
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
 
@@ -22,7 +22,7 @@ def drive_of(session: Path) -> Path:
     return session.with_name(f"drive{session.stem.removeprefix('session')}.csv")
 
 
-def columns(machine: Machine) -> Mapping[str, int]:
+def columns(machine: RealTimeMachine) -> Mapping[str, int]:
     """Bare name of a signal or an axis -> its column in a table of axes, then signals; an axis goes first."""
     axes, signals = list(machine.axes), list(machine.signals)
     places = {bare: len(axes) + signals.index(full) for bare, full in by_bare_name(signals).items()}
@@ -44,7 +44,7 @@ class Session:
         self,
         first: MachineChoice,
         folders: Sequence[Path] = (),
-        simulate: Callable[[Setup], Machine] = RealTimeMachine,
+        simulate: Callable[[Setup], RealTimeMachine] = RealTimeMachine,
         file: Path | None = None,
     ) -> None:
         """folders: of result files, the first also for saving; simulate: starts the machine."""

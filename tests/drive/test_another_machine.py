@@ -23,7 +23,6 @@ from orchestrator.drive.page import write_page
 from orchestrator.drive.sticks import StickAxes, commands, functions, modes
 from orchestrator.drive.view_description import ViewDescription
 from orchestrator.realtime.stepping import FrameStepper
-from orchestrator.view.authority import CURVE
 from orchestrator.view.choice import MachineChoice, plan
 
 VIEW = Path(__file__).with_name("loader.toml")
@@ -70,7 +69,7 @@ def test_driven(tmp_path: Path) -> None:
     described, names = found.description, [axis.name for axis in found.setup.axes]
     assert names == list(LEVERS)
     assert modes(described.modes, names) == ("hand",)
-    pulled = functions(StickAxes(left_x=-1.0, left_y=1.0, right_y=-1.0), described.patterns["loader"], CURVE)
+    pulled = functions(StickAxes(left_x=-1.0, left_y=1.0, right_y=-1.0), described.patterns["loader"])
     wanted = commands(pulled, described.modes["hand"], names)
     assert wanted == {"mast_lever": 1.0, "lift_lever": 0.5, "telescope_lever": 1.0}
     with closing(FrameStepper(found.setup)) as live:

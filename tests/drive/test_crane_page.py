@@ -25,7 +25,7 @@ from orchestrator.base.files import Location
 from orchestrator.data import gltf
 from orchestrator.drive import drawing
 from orchestrator.drive.page import page_data
-from orchestrator.drive.sticks import ResponseCurve, StickAxes, functions
+from orchestrator.drive.sticks import StickAxes, functions
 from orchestrator.drive.view_description import ViewDescription, view_description
 from orchestrator.ssp.load import load
 from orchestrator.ssp.write import write_ssp
@@ -107,7 +107,7 @@ def test_wheels_as_in_real_time(script: Any, view: ViewDescription) -> None:
         asked = [rows, told["patterns"][name], told["curve"]]
         given = script("levers", "a[0].map((r) => m.functions(r, a[1], a[2]))", asked)
         for row, found in zip(rows, given, strict=True):
-            expected = functions(StickAxes(*row[:4], tuple(row[4:])), pattern, ResponseCurve())
+            expected = functions(StickAxes(*row[:4], tuple(row[4:])), pattern)
             assert found == pytest.approx(expected, abs=1e-15)  # rounding
             assert len(found) == 6
 

@@ -9,6 +9,7 @@ import threading
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -165,13 +166,13 @@ def test_one_that_is_forgotten_ends(drift):
 
 
 def test_restart_with_another_setup(opened, drift, fmus):
-    """Other machine, other axes, other signals; numbers go on, time begins again, old commands are gone."""
+    """Other machine, axes and signals; numbers go on, time begins again, old commands are gone."""
     station = opened(drift)
     station.command({"u": 1.0})
     assert until(lambda: u(station) == 1.0)
     old = station.latest().number
     axes = (Axis("gain.u", 5.0, 100.0, rest=-1.0),)
-    gain = Setup(str(fmus["gain"]), axes, ("gain.y",), set={"gain.factor": 3})
+    gain = Setup(str(fmus["gain"]), axes, ("gain.y",), set=MappingProxyType({"gain.factor": 3}))
     station.restart(gain)
     waiting = station.latest()
     if waiting.state == "starting":

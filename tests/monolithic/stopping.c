@@ -34,7 +34,7 @@ typedef struct {
     double time, r[REALS];
     int i[INTEGERS];
     int mode; /* 0 before steps, 1 in steps, 2 in event mode */
-    int used, early, rests, instants, ends;
+    int used, early, rests, ends;
     unsigned *random;
 } Instance;
 
@@ -182,8 +182,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *a, fmi3Boolean 
                                     fmi3Float64 *e) {
     Instance *m = c;
     *a = update(m) != 0;
-    m->instants += m->time == 0.0;
-    *n = *v = fmi3False, *t = (m->i[HOW] == 15 && m->i[COUNT] == 3) || m->ends || (m->i[HOW] == 17 && m->instants >= 2);
+    *n = *v = fmi3False, *t = (m->i[HOW] == 15 && m->i[COUNT] == 3) || m->ends || (m->i[HOW] == 17 && m->time == 0.0);
     if (*t && m->i[HOW] > 15) m->r[LEVEL] = 99.0;
     const int wrong = misuse(m);
     *d = NAMED(m, TICKER) || wrong == 4 || wrong == 11;

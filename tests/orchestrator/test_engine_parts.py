@@ -12,7 +12,7 @@ from numpy.polynomial import Legendre, Polynomial
 
 from orchestrator.base.compiler import host, shared_library
 from orchestrator.engine.c_library import Binding, library, recipe
-from orchestrator.engine.linear_system import ERROR_ROWS, LinearSystem
+from orchestrator.engine.linear_system import ErrorSystem
 
 
 @cache
@@ -153,33 +153,20 @@ def test_the_error_of_a_step_is_that_of_its_worst_input():
 # ---- How the error estimate reads a source: corners, fourth derivatives, sections, linearisations
 
 
-class Estimate(LinearSystem):
+class Estimate(ErrorSystem):
     """States x' = a x + u, whose input u is 0 while its source is not: the defect is the source itself."""
 
     def __init__(self, lag=10**6, states=1):
         super().__init__(states, 1)
-        self.b[:, 0] = 1.0
-        wide = self.n_padded
-        self.e, self.stages, self.factors = map(np.zeros, (wide, (ERROR_ROWS, wide), (states, wide)))
-        self.w, self.middle = np.zeros(self.m_padded), np.zeros(self.m_padded)
-        self.defects, self.lengths, self.starts = np.zeros((1, 2)), np.zeros(3), np.zeros(2)
-        self.diagonal, self.slope = np.zeros(states), np.zeros(1)
+        self.b[:, 0], self.slope = 1.0, np.zeros(1)
         binding = self.binding = Binding()
         h = binding.h
         self.source = binding.array(h.CouplingInput, [h.CouplingInput(source_slope=binding.at(self.slope))])
         self.source[0].fmu_degree = self.source[0].requested_degree = 3
         self.source[0].slopes_known = 2
         self.input = binding.array(h.ErrorInput, [h.ErrorInput(substeps=1)])
-        names = "e stages factors w middle defects lengths diagonal starts"
-        self.state = h.ErrorPropagation(
-            system=self.system_struct(binding),
-            inputs=binding.pointer(self.input),
-            longest_section=100,
-            longest_lag=20,
-            sample=10**6,
-            lag=lag,
-            **binding.all_at(self, names),
-        )
+        limits = {"longest_section": 100, "longest_lag": 20, "sample": 10**6, "lag": lag}
+        self.state = self.struct(binding, inputs=binding.pointer(self.input), **limits)
         self.simulation = h.Simulation(
             inputs=binding.pointer(self.source),
             components=binding.pointer(binding.array(h.Component, [h.Component()])),

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from orchestrator import Coupling, RunFailed, Trace, assemble, run
 from orchestrator.engine import linear_system
 from orchestrator.engine.c_library import Binding, library
-from orchestrator.engine.linear_system import ERROR_ROWS, LinearSystem
+from orchestrator.engine.linear_system import ErrorSystem
 
 MASTERS = [
     *((Coupling("jacobi"), 1e-3), (Coupling("jacobi", order=1), 1e-3), (Coupling("gauss-seidel"), 1e-3)),
@@ -215,19 +215,12 @@ def test_without_derivatives_the_run_is_repeated(fmus, open_oscillator):
     assert "estimated error of the coupling, from the errors of the inputs in each step" in card.text()
 
 
-class Propagation(LinearSystem):
-    """A linear system with the arrays and functions that carry errors."""
-
-    def __init__(self, n, m):
-        super().__init__(n, m)
-        self.e, self.stages = np.zeros(self.n_padded), np.zeros((ERROR_ROWS, self.n_padded))
-        self.factors, self.defects = np.zeros((n, self.n_padded)), np.zeros((m, 2))
-        self.w = np.zeros(self.m_padded)
+class Propagation(ErrorSystem):
+    """A linear system that carries errors, with functions of the engine."""
 
     def prepare(self):
         self.binding = Binding()
-        arrays = self.binding.all_at(self, "e stages factors w defects")
-        self.state = self.binding.h.ErrorPropagation(system=self.system_struct(self.binding), **arrays)
+        self.state = self.struct(self.binding)
         library().linear_system_join(byref(self.state.system))
 
     def advance(self, h):

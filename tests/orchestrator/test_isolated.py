@@ -1,6 +1,7 @@
 """Runs in a process of their own, from Python: the same bits, failures with their rows, and the next run."""
 
 import multiprocessing
+import os
 import platform
 import sys
 from unittest.mock import Mock
@@ -20,6 +21,24 @@ from orchestrator.engine.run import run_to_file
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="faults and limits of POSIX")
 STEPS = {"step": 0.01, "stop": 1.0}
+
+
+def test_lines_of_events_survive_an_fmu_that_closes_their_file(tmp_path):
+    """Each line is in the file, and none in one that the FMU has opened in its place, which stays open."""
+    kept = isolated.KeptFile(tmp_path / "events")
+    kept.append("1\n")
+    os.close(kept.descriptor)
+    kept.append("2\n")
+    os.close(kept.descriptor)
+    with (tmp_path / "other").open("w") as other:
+        assert other.fileno() == kept.descriptor  # the lowest number that is free
+        kept.append("3\n")
+        os.dup2(other.fileno(), kept.descriptor)
+        kept.close()
+        other.write("of the FMU")
+    kept.close()
+    assert (tmp_path / "events").read_text("utf-8") == "1\n2\n3\n"
+    assert (tmp_path / "other").read_text("utf-8") == "of the FMU"
 
 
 def process():

@@ -14,10 +14,9 @@ from orchestrator import Coupling, batch, linearize, reference, run
 from orchestrator.__main__ import main
 from orchestrator.base.options import option_texts
 from orchestrator.cli import app
-from orchestrator.data.trace_writer import write_trace
 from orchestrator.engine import arguments
 from orchestrator.engine.job import open_slave
-from orchestrator.engine.result import read_metadata, write_metadata
+from orchestrator.engine.result import read_metadata
 from orchestrator.ssp.coupling import FIELDS, CouplingArguments, merge_choices
 
 GROUPS = {
@@ -169,8 +168,7 @@ def test_the_card_and_the_side_file_tell_steps_passes_and_settings(oscillator, t
     assert f"master hermite, tolerance 0.001, {card.steps} steps of {1e3 * shortest:.3g} to" in text
     assert card.passes > card.steps
     assert "passes each" in text
-    write_trace(result.trace, tmp_path / "o.csv")
-    write_metadata(result, tmp_path / "o.csv")
+    result.write(tmp_path / "o.csv")
     facts = read_metadata(tmp_path / "o.csv")
     assert facts.coupling == result.coupling.settings
     assert (facts.steps, facts.passes, facts.repeated) == (card.steps, card.passes, card.repeated)

@@ -237,7 +237,8 @@ def test_choice(desk: Desk) -> None:
     desk.authority.choose(station, "SAE")
     assert not desk.machine.moving
     assert desk.status().pattern == "SAE"
-    problem(lambda: desk.authority.choose(station, "JCB"), "^pattern: expected ISO or SAE, found JCB$")
+    problem(lambda: desk.authority.choose(station, "JCB"), "^pattern: expected one of ISO, SAE, found JCB$")
+    problem(lambda: desk.authority.choose(station, "SEA"), r"found SEA; did you mean SAE\?$")
     problem(lambda: desk.authority.choose(station, mode="tip"), "^mode: expected one of levers, found tip$")
 
 

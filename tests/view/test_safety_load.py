@@ -224,7 +224,7 @@ def test_huge(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         find_result("run.csv", [folder])
 
 
-# ---- Messages from a browser: what is believed, and that everything else is one Problem
+# ---- Messages from a browser: what is believed, and that everything else is none
 
 GOOD = {"n": 3, "sticks": [0, -1, 0.25, 1], "dead_man": True}
 
@@ -257,18 +257,14 @@ WRONG = {
 
 @pytest.mark.parametrize("raw", WRONG.values(), ids=WRONG.keys())
 def test_wrong(raw: str | bytes) -> None:
-    """Whatever is wrong is told in one short line."""
-    with pytest.raises(Problem, match="message: ") as told:
-        parse(raw)
-    assert "\n" not in str(told.value)
-    assert len(str(told.value)) < 200
+    """Whatever is wrong is no message."""
+    assert parse(raw) is None
 
 
 @given(st.text() | st.binary())
 def test_garbage(raw: str | bytes) -> None:
-    """Arbitrary text and bytes are a Problem and no other exception."""
-    with pytest.raises(Problem):
-        parse(raw)
+    """Arbitrary text and bytes are no message, and raise no exception."""
+    assert parse(raw) is None
 
 
 def shaped(inner: st.SearchStrategy[object]) -> st.SearchStrategy[object]:
@@ -277,12 +273,9 @@ def shaped(inner: st.SearchStrategy[object]) -> st.SearchStrategy[object]:
 
 @given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5), shaped))
 def test_garbage_of_the_right_shape(found: object) -> None:
-    """JSON that looks like a message is a message within its bounds, or a Problem."""
-    try:
-        message = parse(json.dumps(found))
-    except Problem:
-        return
-    assert all(abs(value) <= 1 for value in vars(message.sticks).values())
+    """JSON that looks like a message is a message within its bounds, or none."""
+    message = parse(json.dumps(found))
+    assert message is None or all(abs(value) <= 1 for value in vars(message.sticks).values())
 
 
 def test_bucket() -> None:

@@ -355,12 +355,12 @@ typedef struct Events {
     const int64_t *real_targets, *integer_targets; /* connected or driven inputs that are not continuous, and influence a state */
     double *reals;                                 /* their values at the last instant */
     int64_t *integers;
-    int32_t real_count, integer_count;
+    int32_t *changes; /* places among them, the Reals first, of those that have changed since the last exchange in an instant */
+    int32_t real_count, integer_count, changed; /* changed: their number */
     int32_t used;     /* FMUs are in event mode at instants, through Python */
     int32_t present;  /* used, or there are such inputs; else no step looks for events */
     int32_t located;  /* all components can go back, so that a step is repeated to its first event */
     int32_t due;      /* there is an instant at the end of the step */
-    int32_t changed;  /* signals that are not continuous, since the last exchange in an instant */
     int32_t ends;     /* an FMU has requested the end of the run in an instant */
     int32_t tries;    /* of the present step */
     double next;      /* the next time event that an FMU has announced [s] */

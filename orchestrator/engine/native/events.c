@@ -70,14 +70,14 @@ int event_missed(Simulation *sim, double h) {
     return 1;
 }
 
+/* Is a value another one? NaN stays NaN. */
+static int differs(double now, double before) { return now != before && (now == now || before == before); }
+
 /* Have signals that are not continuous changed since the last instant? */
 static int values_changed(const Simulation *sim) {
     const Events *e = &sim->events;
     int changed = 0;
-    for (int32_t i = 0; i < e->real_count; i++) {
-        const double now = sim->reals[e->real_targets[i]], before = e->reals[i];
-        changed |= now != before && (now == now || before == before); /* NaN stays NaN */
-    }
+    for (int32_t i = 0; i < e->real_count; i++) changed |= differs(sim->reals[e->real_targets[i]], e->reals[i]);
     for (int32_t i = 0; i < e->integer_count; i++) changed |= sim->integers[e->integer_targets[i]] != e->integers[i];
     return changed;
 }
@@ -91,16 +91,25 @@ int event_due(const Simulation *sim) {
 /* For Python: exchanges all values in an instant. */
 int32_t event_exchange(Simulation *sim, double t) {
     const int verdict = simulation_exchange(sim, t);
-    sim->events.changed = values_changed(sim);
+    event_values(sim);
     environment_restore(sim, NULL, ANY_COMPONENT);
     return verdict;
 }
 
-/* The values of signals that are not continuous, after an instant. */
+/* Stores the values of signals that are not continuous, and lists those that have changed. */
 void event_values(Simulation *sim) {
     Events *e = &sim->events;
-    for (int32_t i = 0; i < e->real_count; i++) e->reals[i] = sim->reals[e->real_targets[i]];
-    for (int32_t i = 0; i < e->integer_count; i++) e->integers[i] = sim->integers[e->integer_targets[i]];
+    e->changed = 0;
+    for (int32_t i = 0; i < e->real_count; i++) {
+        const double now = sim->reals[e->real_targets[i]];
+        if (differs(now, e->reals[i])) e->changes[e->changed++] = i;
+        e->reals[i] = now;
+    }
+    for (int32_t i = 0; i < e->integer_count; i++) {
+        const int64_t now = sim->integers[e->integer_targets[i]];
+        if (now != e->integers[i]) e->changes[e->changed++] = e->real_count + i;
+        e->integers[i] = now;
+    }
 }
 
 /* Takes all FMUs with event mode through the events of this time. */

@@ -173,19 +173,18 @@ def oscillation(time: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def bank_fmu(file: Path, changes: Mapping[str, str] | None = None) -> Path:
     """The FMU of bank.c, whose variables are arrays; changes: of its description, old -> new text."""
-    source = Path(__file__).with_name("bank.c")
-    text = source.with_suffix(".xml").read_text("utf-8")
-    for old, new in (changes or {}).items():
-        text = text.replace(old, new)
-    binary = library("bank", [source], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
-    return packed(file, {"modelDescription.xml": text, member(3, "bank"): binary})
+    return _of_source(file, "bank.c", "bank", changes or {})
 
 
 def ticking_fmu(file: Path, interval: str, **changes: str) -> Path:
     """The FMU of ticks.c, whose variables belong to clocks; interval: attributes of its clock `tick`."""
-    source = Path(__file__).with_name("ticks.c")
-    text = source.with_suffix(".xml").read_text("utf-8").replace("INTERVAL", interval)
+    return _of_source(file, "ticks.c", "unit", {"INTERVAL": interval, **changes})
+
+
+def _of_source(file: Path, code: str, name: str, changes: Mapping[str, str]) -> Path:
+    source = Path(__file__).with_name(code)
+    text = source.with_suffix(".xml").read_text("utf-8")
     for old, new in changes.items():
         text = text.replace(old, new)
-    binary = library("unit", [source], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
-    return packed(file, {"modelDescription.xml": text, member(3, "unit"): binary})
+    binary = library(name, [source], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
+    return packed(file, {"modelDescription.xml": text, member(3, name): binary})
