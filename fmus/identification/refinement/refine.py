@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmus.identification.refinement.compiled_model import CompiledModel, delayed_inputs
+from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun
 from fmus.identification.refinement.shooting import (
     CONVERGED,
@@ -124,10 +124,8 @@ class RefinementResult:
         of the parameters, the errors of a measured initial state, noise of sensors, and error of the model.
         """
         p, outputs = self.problem.values_of(self.z), self.problem.outputs
-        inputs = run.input_matrix(self.simulator.inputs)
-        state, state_p = run.initial_state(self.simulator, p, inputs)
-        inputs = delayed_inputs(self.simulator, p, run.time, inputs)
-        solution = self.simulator.segment(state, p, run.time, inputs)
+        state, state_p = run.initial_state(self.simulator, p)
+        solution = self.simulator.segment(state, p, run.time, run.delayed(self.simulator, p))
         by_z: Array = (solution.y_p + solution.y_x @ state_p) * self.problem.derivatives(self.z)
         noise = np.array([1 / max(w.max(), np.finfo(float).tiny) if w.any() else 0.0 for w in run.weight.T])
         start = [
@@ -174,14 +172,9 @@ def cut_into_segments(
     """The recordings of a problem in segments; priors of the initial states are those at z."""
     if not problem.training:
         raise Problem(f"{problem.sub.name}: expected at least one recording to fit, got none")
-    inputs = tuple(run.input_matrix(simulator.inputs) for run in problem.training)
-    edges = tuple(cut(run.time, segment) for run in problem.training)
-    p = problem.values_of(z)
-    states = [
-        run.initial_state(simulator, p, u, corrected=False)[0] / simulator.nominal
-        for run, u in zip(problem.training, inputs, strict=True)
-    ]
-    return Shooting(problem, simulator, inputs, tuple(states), edges)
+    edges, p = tuple(cut(run.time, segment) for run in problem.training), problem.values_of(z)
+    states = (run.initial_state(simulator, p, corrected=False)[0] for run in problem.training)
+    return Shooting(problem, simulator, tuple(state / simulator.nominal for state in states), edges)
 
 
 def fit_predictions(

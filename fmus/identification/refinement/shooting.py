@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from fmus.identification.recordings.masks import autocorrelation_time
-from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, delayed_inputs
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
 from fmus.identification.refinement.problem import EstimationProblem
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
@@ -222,7 +222,6 @@ class Evaluation:
 class Shooting:
     """A problem cut into segments.
 
-    inputs         per run, shape (n, nu)
     prior_states   per run the mean of the prior of its initial state, in nominal values
     edges          per run the indices of the samples at which segments begin, and of the last sample
     detached       segments begin at measured states and need not be continuous: prediction over their length
@@ -230,18 +229,16 @@ class Shooting:
 
     problem: EstimationProblem
     simulator: CompiledModel
-    inputs: tuple[Array, ...]
     prior_states: tuple[Array, ...]
     edges: tuple[tuple[int, ...], ...]
     detached: bool = False
 
     def measured_starts(self, z: Array) -> tuple[Array, ...]:
         """Measured initial states; states that are not measured are simulated."""
-        p, nominal = self.problem.values_of(z), self.simulator.nominal
+        p, runs = self.problem.values_of(z), self.problem.training
 
         def states(k: int) -> Array:
-            run = self.problem.training[k]
-            return run.segment_states(self.simulator, p, self.inputs[k], self.edges[k]) / nominal
+            return runs[k].segment_states(self.simulator, p, self.edges[k]) / self.simulator.nominal
 
         return tuple(parallel(states, range(len(self.edges))))
 
@@ -257,10 +254,7 @@ class Shooting:
         """Simulate all segments; raises SimulationFailed."""
         p, p_z = self.problem.values_of(z), self.problem.derivatives(z)
         nominal = self.simulator.nominal
-        inputs_of = [
-            delayed_inputs(self.simulator, p, run.time, inputs)
-            for run, inputs in zip(self.problem.training, self.inputs, strict=True)
-        ]
+        inputs_of = [run.delayed(self.simulator, p) for run in self.problem.training]
 
         def segment(task: tuple[int, int]) -> Segment:
             k, i = task

@@ -21,7 +21,7 @@ from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
 from fmus.identification.recordings.masks import autocorrelation_time, noise
-from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, delayed_inputs
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
 from fmus.identification.refinement.shooting import LARGEST_RADIUS, CondensedRun, Minimum, Shooting, linearise
 from orchestrator.base.signals import rms
@@ -142,19 +142,24 @@ def _jackknife(runs: Sequence[CondensedRun], prior: Array, inverse: Array) -> Ar
 
 def input_covariance(shooting: Shooting, solution: Minimum) -> Array:
     """Covariance of z that the noise of the inputs causes, shape (np, np): that which smoothing leaves."""
-    parameters, names = len(solution.z), shooting.simulator.inputs
-    if not any(run.input_noise for run in shooting.problem.training):
+    parameters, problem, names = len(solution.z), shooting.problem, shooting.simulator.inputs
+    if not any(run.input_noise for run in problem.training):
         return np.zeros((parameters, parameters))
     rng, changes = np.random.default_rng(0), []
     optimum, reference = solution.linear.at, solution.linear.step(LARGEST_RADIUS)
+
+    def noisy(run: MeasuredRun) -> MeasuredRun:
+        noise = {n: run.input_noise[n] for n in names if n in run.input_noise}
+        drawn = {
+            n: run.inputs[n] + local_parabolas(sd * rng.standard_normal(len(run.time)), window)
+            for n, (sd, window) in noise.items()
+        }
+        return replace(run, inputs={**run.inputs, **drawn})
+
     for _ in range(DRAWS):
-        inputs = tuple(u.copy() for u in shooting.inputs)
-        for run, u in zip(shooting.problem.training, inputs, strict=True):
-            for j in (j for j, name in enumerate(names) if name in run.input_noise):
-                sd, window = run.input_noise[names[j]]
-                u[:, j] += local_parabolas(sd * rng.standard_normal(len(run.time)), window)
+        drawn = replace(problem, training=tuple(map(noisy, problem.training)))
         try:
-            new = replace(shooting, inputs=inputs).evaluate(optimum.z, optimum.starts, False)
+            new = replace(shooting, problem=drawn).evaluate(optimum.z, optimum.starts, False)
         except SimulationFailed:
             continue
         changed = linearise(shooting, optimum, new, solution.linear.scales)
@@ -232,11 +237,9 @@ def simulate(
     run: MeasuredRun, simulator: CompiledModel, p: Array, start: Array | None = None
 ) -> SimulatedRun:
     """Simulate a run; the initial state is by default that of the first samples. NaN if it fails."""
-    inputs = run.input_matrix(simulator.inputs)
-    state = run.initial_state(simulator, p, inputs)[0] if start is None else start
+    state = run.initial_state(simulator, p)[0] if start is None else start
     try:
-        inputs = delayed_inputs(simulator, p, run.time, inputs)
-        return SimulatedRun(run, simulator.segment(state, p, run.time, inputs, False).y)
+        return SimulatedRun(run, simulator.segment(state, p, run.time, run.delayed(simulator, p), False).y)
     except SimulationFailed:
         return SimulatedRun(run, np.full(run.measured.shape, np.nan))
 

@@ -29,7 +29,6 @@ from fmus.identification.report.prediction import (
     excitation,
     predict,
 )
-from fmus.identification.report.report_texts import percent
 from fmus.identification.results import CONFIDENCE
 from orchestrator.base.processes import mapping
 from orchestrator.base.signals import rms
@@ -50,6 +49,11 @@ MEMORY = 0.5  # s, lag up to which samples of a residual are assumed to be corre
 LEAST = 0.2  # share above which an effect is reported
 CLOSE = 0.8  # fraction of the largest share above which an effect cannot be distinguished from the largest
 SMALL = 1e-3  # rms residual over the range of a signal below which it needs no explanation
+
+
+def percent(ratio: float) -> str:
+    """A ratio in whole percent; infinite for a simulation that failed."""
+    return f"{100 * ratio:.0f} %" if math.isfinite(ratio) else "(could not be simulated)"
 
 
 def candidate_effects(excitation: Excitation) -> dict[str, Mapping[str, str]]:
