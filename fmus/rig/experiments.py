@@ -121,15 +121,15 @@ def _hose(
     named: Named, resistance: float, steps: Sequence[float], hold: float, ramp: float, machine: str
 ) -> Experiment:
     p = drives("detailed")
-    about = {"length": (p.stick.hose.length, "m"), "diameter": (p.stick.hose.bore, "m")}
+    length, bore = (Condition(value, "m") for value in (p.stick.hose.length, p.stick.hose.bore))
     time, command = levels((0.0, *steps), hold, ramp)
     signals = stick_hose(machine, resistance, time, command)
     if named[0] == "hose_dynamics":
         signals = {"command": command, **signals}
     else:  # one meter, at the end
         signals = {n: signals[n] for n in ("pressure_in", "pressure_out")} | {"flow": signals["flow_out"]}
-    conditions = {n: Condition(*value) for n, value in (about | {"density": (p.density, "kg/m3")}).items()}
-    return _bench((named[0], f"Hose of 4 m and 3/4 in, {named[1]}"), time, signals, **conditions)
+    named, density = (named[0], f"Hose of 4 m and 3/4 in, {named[1]}"), Condition(p.density, "kg/m3")
+    return _bench(named, time, signals, length=length, diameter=bore, density=density)
 
 
 def _motor(stepped: str, machine: str) -> Experiment:
@@ -239,21 +239,22 @@ def _on_machine() -> Iterator[tuple[str, Callable[[str], Experiment]]]:
     for joint, own in _TABLES["damping"].items():
         for n, (pose, sign) in enumerate(own["recordings"], 1):
             rows = [(sign * command, hold) for command, hold in own["strokes"]]
-            named, moves = (
-                ("damping", f"Only the {joint} moves, pose {n}"),
-                _one_by_one(joint, rows, own["rise"], own["fall"]),
-            )
-            yield f"damping_{joint}_{n}", partial(_driven, named, moves, Pose(*pose), joint=joint)
-    for n, (moves, pose) in enumerate(TRAINING, 1):
+            strokes = _one_by_one(joint, rows, own["rise"], own["fall"])
+            named = ("damping", f"Only the {joint} moves, pose {n}")
+            yield f"damping_{joint}_{n}", partial(_driven, named, strokes, Pose(*pose), joint=joint)
+    for n, (moves, start) in enumerate(TRAINING, 1):
         named = ("machine", f"All axes at work, training {n}")
-        yield f"machine_train_{n}", partial(_driven, named, moves, pose, stop=TRAINING_STOP)
-    named, pose = ("machine", "Work cycle, held out"), POSES[NOMINAL]
-    yield "machine_test", partial(_driven, named, WORK_CYCLE, pose, stop=WORK_CYCLE_STOP, use="test")
+        yield f"machine_train_{n}", partial(_driven, named, moves, start, stop=TRAINING_STOP)
+    named, start = ("machine", "Work cycle, held out"), POSES[NOMINAL]
+    yield "machine_test", partial(_driven, named, WORK_CYCLE, start, stop=WORK_CYCLE_STOP, use="test")
     # strokes of the boom up and down about the same angles, slower than 2 cm/s
-    moves = _one_by_one("boom", ((1.2, 2.0), (-1.0, 2.0)) * 3, 0.5, 0.5, 0.5)
+    strokes = _one_by_one("boom", ((1.2, 2.0), (-1.0, 2.0)) * 3, 0.5, 0.5, 0.5)
     for name, text, held in (("empty", "empty head", 0.0), ("loaded", f"payload of {WEIGHED:g} kg", WEIGHED)):
         named, payload = ("weighing", f"Slow strokes of the boom, {text}"), Condition(held, "kg")
-        yield f"weighing_{name}", partial(_driven, named, moves, Pose(0.1, -1.2), held=held, payload=payload)
+        yield (
+            f"weighing_{name}",
+            partial(_driven, named, up_and_down, Pose(0.1, -1.2), held=held, payload=payload),
+        )
 
 
 MACHINE_EXPERIMENTS = dict(_on_machine())

@@ -61,7 +61,12 @@ def procedure_figures(result: ProcedureResult, kinds: Iterable[str] = ()) -> lis
     """
     below = footer(result.figure, kinds)
     return [
-        TraceFigure(_panels(group), title=result.title, below=below, axis=name_with_unit(*_name_and_unit(x_label, unit[0])))
+        TraceFigure(
+            _panels(group),
+            title=result.title,
+            below=below,
+            axis=name_with_unit(*_name_and_unit(x_label, unit[0])),
+        )
         for (x_label, unit), group in groupby(result.panels, key=lambda p: (p.x_label, p.x_unit))
     ]
 

@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from fmus.contract import quantities
 from fmus.identification.machine import lookup, nominal, sensor_sentences
-from fmus.identification.pipeline import NO_RECORDING, Identified
+from fmus.identification.pipeline import Identified
 from fmus.identification.recordings.quality import Quality
 from fmus.identification.recordings.reading import MACHINE
 from fmus.identification.refinement.refine import RefinementResult, advice
@@ -22,7 +22,7 @@ from fmus.identification.refinement.statistics import nrmse
 from fmus.identification.report import figures, prediction
 from fmus.identification.report.attribution import attribute, percent
 from fmus.identification.report.figures import percentage
-from fmus.identification.results import Estimate, named
+from fmus.identification.results import NO_RECORDING, Estimate, named
 from fmus.machine.parts import FERIC
 from orchestrator.base import text
 from orchestrator.base.text import DASH, TextTable, display_unit, first_names, typeset
