@@ -250,11 +250,9 @@ def _on_machine() -> Iterator[tuple[str, Callable[[str], Experiment]]]:
     # strokes of the boom up and down about the same angles, slower than 2 cm/s
     strokes = _one_by_one("boom", ((1.2, 2.0), (-1.0, 2.0)) * 3, 0.5, 0.5, 0.5)
     for name, text, held in (("empty", "empty head", 0.0), ("loaded", f"payload of {WEIGHED:g} kg", WEIGHED)):
-        named, payload = ("weighing", f"Slow strokes of the boom, {text}"), Condition(held, "kg")
-        yield (
-            f"weighing_{name}",
-            partial(_driven, named, up_and_down, Pose(0.1, -1.2), held=held, payload=payload),
-        )
+        named, load = ("weighing", f"Slow strokes of the boom, {text}"), Condition(held, "kg")
+        made = partial(_driven, named, strokes, Pose(0.1, -1.2), held=held, payload=load)
+        yield f"weighing_{name}", made
 
 
 MACHINE_EXPERIMENTS = dict(_on_machine())
