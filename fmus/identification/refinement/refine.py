@@ -224,29 +224,24 @@ def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> CompiledMod
 
 def advice(refined: RefinementResult) -> tuple[str, ...]:
     """Sentences on how the search ended and on the validity of the intervals; empty if all is well."""
-    sentences, segments = [], refined.statistics.segments
-    outcome = f"The search did not converge: {refined.reason}"
-    if refined.reason == INTERRUPTED:
-        sentences.append(f"{outcome}. Values and intervals are those of the best point so far.")
-    elif refined.reason == STUCK:
-        sentences.append(
-            f"{outcome}, because a parameter has hardly any effect or the model switches there, such as dry "
-            "friction or a stop. The values are the best so far. Fix the parameters that the data do not "
-            "determine (--free names the others), or begin from other values."
-        )
-    elif not refined.converged:
-        sentences.append(
-            f"{outcome} were not enough. The values are the best so far, the intervals are too narrow. "
-            "Look for a signal with a wrong sign or unit, and free fewer parameters (--free)."
-        )
-    if refined.robust and segments == 1:
-        sentences.append(
-            "There is a single segment, from which the effect of correlated residuals cannot be estimated: "
-            "the intervals are a guess, and wide. Longer recordings help."
-        )
-    elif refined.robust and segments < FEW:
-        sentences.append(
-            f"The intervals come from the scatter between {segments} segments, fewer than {FEW}: "
-            "they are wide and inaccurate. Longer recordings help."
-        )
-    return tuple(sentences)
+    segments, outcome = refined.statistics.segments, f"The search did not converge: {refined.reason}"
+    ends = {
+        CONVERGED: "",
+        INTERRUPTED: f"{outcome}. Values and intervals are those of the best point so far.",
+        STUCK: f"{outcome}, because a parameter has hardly any effect or the model switches there, such as dry "
+        "friction or a stop. The values are the best so far. Fix the parameters that the data do not "
+        "determine (--free names the others), or begin from other values.",
+    }
+    too_few = (
+        f"{outcome} were not enough. The values are the best so far, the intervals are too narrow. "
+        "Look for a signal with a wrong sign or unit, and free fewer parameters (--free)."
+    )
+    short = (
+        "There is a single segment, from which the effect of correlated residuals cannot be estimated: "
+        "the intervals are a guess, and wide. Longer recordings help."
+        if segments == 1
+        else f"The intervals come from the scatter between {segments} segments, fewer than {FEW}: "
+        "they are wide and inaccurate. Longer recordings help."
+    )
+    sentences = (ends.get(refined.reason, too_few), short if refined.robust and segments < FEW else "")
+    return tuple(filter(None, sentences))

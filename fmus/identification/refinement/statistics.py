@@ -90,15 +90,14 @@ def statistics(solution: Minimum, prior_sd: Array, by_inputs: Array) -> Statisti
     prior = np.diag(1 / prior_sd**2 + 1 / VAGUE**2)
     information = jacobian.T @ jacobian
     lengths = np.linalg.norm(jacobian, axis=0)
-    singular = np.linalg.svd(jacobian / np.where(lengths > 0, lengths, 1.0), compute_uv=False)
-    smallest = float(singular[-1]) if len(jacobian) >= parameters else 0.0
+    condition = float(np.linalg.cond(jacobian / np.where(lengths > 0, lengths, 1.0)))
     return Statistics(
         covariance=_inverse(information / variance + prior) + by_inputs,
         robust_covariance=_jackknife(linear.runs, prior, _inverse(information + prior)) + by_inputs,
         data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + by_inputs,
         degrees_of_freedom=degrees_of_freedom,
         segments=len(segments),
-        condition=float(singular[0]) / smallest if smallest > 0 else float("inf"),
+        condition=condition if len(jacobian) >= parameters else math.inf,
     )
 
 
