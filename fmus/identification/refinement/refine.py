@@ -228,8 +228,8 @@ def advice(refined: RefinementResult) -> tuple[str, ...]:
     ends = {
         CONVERGED: "",
         INTERRUPTED: f"{outcome}. Values and intervals are those of the best point so far.",
-        STUCK: f"{outcome}, because a parameter has hardly any effect or the model switches there, such as dry "
-        "friction or a stop. The values are the best so far. Fix the parameters that the data do not "
+        STUCK: f"{outcome}, because a parameter has hardly any effect or the model switches there, such as "
+        "dry friction or a stop. The values are the best so far. Fix the parameters that the data do not "
         "determine (--free names the others), or begin from other values.",
     }
     too_few = (
