@@ -4,12 +4,23 @@ On the benches, commands and pressures are stepped: they are held at levels, wit
 whole machine an operator moves one joint in the damping experiments and all joints in the training
 experiments; the test is the work cycle. Training covers the work space, small and large commands and all
 pairs of axes, and contains no part of the work cycle. All corners of commands are on the 200 Hz grid.
+
+Instruments read the true signals with noise and quantisation:
+
+    reading = clip(resolution round((true + noise) / resolution)),      0 if |true| is in the dead zone
+
+The noise is white and Gaussian and is added before the converter. In its dead zone a turbine meter stands
+still: this depends on the true flow, and its reading has no noise. A 12-bit converter has 4096 codes, one of
+them for zero, so the highest value is one code below the end of the range. There is no filter; the sampling
+rate is 200 Hz.
 """
 
+import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from hashlib import sha256
 from importlib.resources import files
 from typing import Any, TypeAlias
 
@@ -22,10 +33,95 @@ from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
 from fmus.monolith import Monolith, join, simulate
 from fmus.operator_input.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
 from fmus.rig.benches import BORE, EDGES, TOLERANCE, drives, hold_test, locked_motor, stick_hose, valve
-from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, POSITION, PRESSURE, RETURN, Experiment
 from orchestrator.base.errors import Problem
+from orchestrator.base.units import parse_unit
 from orchestrator.data.description import Condition, SignalDescription
 from orchestrator.data.table import Array
+
+# ---- instruments and what they record --------------------------------------------------------------
+
+
+def _converter(
+    text: str, unit: str, span: tuple[float, float], noise: float, dead_zone: float = 0.0
+) -> SignalDescription:
+    """An instrument with a 12-bit converter; its dead zone is where the reading is 0."""
+    low, end = span
+    step = (end - low) / 2**12
+    return SignalDescription(
+        unit, sensor=text, noise=noise, resolution=step, span=(low, end - step), dead_zone=dead_zone
+    )
+
+
+PRESSURE = _converter("pressure transducer 0-400 bar, 12 bit", "bar", (0.0, 400.0), 0.1)
+# noise as a share of the range as above
+RETURN = _converter("pressure transducer -1 to 25 bar, 12 bit", "bar", (-1.0, 25.0), 0.0065)
+FLOW = _converter("turbine flow meter +-300 L/min, 12 bit", "L/min", (-300.0, 300.0), 0.3, 10.0)
+LEAKAGE = _converter("gear flow meter +-5 L/min, 12 bit", "L/min", (-5.0, 5.0), 0.005)
+ANGLE = SignalDescription("deg", sensor="encoder, 65536 counts per turn", resolution=360 / 2**16)
+LISTED = PRESSURE, FLOW, LEAKAGE, ANGLE  # in README.md
+POSITION = SignalDescription(
+    "m", sensor="string potentiometer 0-1 m, 16 bit", noise=2e-6, resolution=2**-16, span=(0.0, 1.0)
+)
+COMMAND = SignalDescription("V")  # known exactly, because the computer sends it
+
+
+def generator(seed: int, file: str, signal: str) -> np.random.Generator:
+    """Random numbers for one signal of one file; they do not depend on other files and signals."""
+    name = sha256(f"{file}/{signal}".encode()).digest()
+    return np.random.default_rng([seed, int.from_bytes(name[:8], "little")])
+
+
+def read(instrument: SignalDescription, true: Array, random: np.random.Generator) -> Array:
+    """Readings, shape (n,), in the instrument's unit, of a true signal in SI.
+
+    Of the instrument: `noise`, standard deviation of one sample; `resolution`, step of the converter, 0
+    without one; `span`, its lowest and highest reading; `dead_zone`, true magnitude below which it reads 0.
+    """
+    value = true / parse_unit(instrument.unit).factor
+    in_dead_zone = np.abs(value) < instrument.dead_zone
+    if instrument.noise:
+        value = value + random.normal(0.0, instrument.noise, value.size)
+    if instrument.resolution:
+        value = instrument.resolution * np.round(value / instrument.resolution)
+    value = np.clip(value, *(instrument.span or (-math.inf, math.inf)))  # multiples of the resolution
+    return np.where(in_dead_zone, 0.0, value)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment on one machine, with its true signals.
+
+    time         shape (n,) [s], 200 Hz
+    signals      true signals that are recorded, in SI units, each of shape (n,)
+    instruments  instrument of each signal
+    conditions   constant quantities of the experiment and its text conditions
+    unrecorded   true signals that are not recorded, in SI units; for tests
+    use          "train" for identification, "test" for validation
+    name         of its files, without suffix
+    machine      "lumped" or "detailed"
+    """
+
+    procedure: str
+    title: str
+    time: Array
+    signals: Mapping[str, Array]
+    instruments: Mapping[str, SignalDescription]
+    conditions: Mapping[str, str | Condition] = field(default_factory=dict)
+    unrecorded: Mapping[str, Array] = field(default_factory=dict)
+    use: str = "train"
+    name: str = ""
+    machine: str = ""
+
+
+def record(experiment: Experiment, seed: int) -> dict[str, Array]:
+    """Readings of each signal, shape (n,), in the unit of its instrument."""
+    return {
+        name: read(experiment.instruments[name], true, generator(seed, experiment.name, name))
+        for name, true in experiment.signals.items()
+    }
+
+
+# ---- commands ---------------------------------------------------------------------------------------
 
 
 def levels(values: Sequence[float], hold: float, ramp: float, first: float = 1.0) -> tuple[Array, Array]:

@@ -17,8 +17,7 @@ from typing import Literal
 import numpy as np
 
 from fmus.rig.benches import TOLERANCE
-from fmus.rig.experiments import EXPERIMENTS, MACHINES, experiment
-from fmus.rig.instruments import ANGLE, FLOW, LEAKAGE, PRESSURE, Experiment, record
+from fmus.rig.experiments import EXPERIMENTS, LISTED, MACHINES, Experiment, experiment, record
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_columns, write_whole
 from orchestrator.base.processes import mapping
@@ -84,7 +83,7 @@ def _check_folder(out: Path) -> None:
 def readme(machine: str, seed: int) -> str:
     """The content of README.md."""
     text, table = (files("fmus.rig") / "README.template").read_text(encoding="utf-8"), ""
-    for i in (PRESSURE, FLOW, LEAKAGE, ANGLE):
+    for i in LISTED:
         span = f"{i.span[0]:g} to {i.span[1]:.6g} {i.unit}" if i.span else "none"
         zone = f"{i.dead_zone:g} {i.unit}" if i.dead_zone else "-"
         table += f"\n| {i.sensor} | {i.noise:g} {i.unit} | {i.resolution:.4g} {i.unit} | {span} | {zone} |"

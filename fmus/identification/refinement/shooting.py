@@ -26,6 +26,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -36,6 +37,7 @@ from fmus.identification.recordings.masks import autocorrelation_time
 from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
 from fmus.identification.refinement.problem import EstimationProblem
 from orchestrator.base.errors import Problem
+from orchestrator.base.signals import rms
 from orchestrator.data.table import Array
 
 Task = TypeVar("Task")
@@ -199,20 +201,22 @@ class Evaluation:
         """The segments of all runs, in the order of time."""
         return [segment for run in self.runs for segment in run]
 
-    @property
-    def rms(self) -> float:
-        """Root mean square of the residuals, 1 if the sensors explain them."""
-        residual = np.concatenate([s.residual for s in self.segments])
-        return float((residual @ residual / max(1, residual.size)) ** 0.5)
+    @cached_property
+    def residual(self) -> Array:
+        """The residuals of all segments, shape (m,)."""
+        return np.concatenate([s.residual for s in self.segments])
+
+    @cached_property
+    def column(self) -> NDArray[np.int64]:
+        """Index of the output of each residual, shape (m,)."""
+        return np.concatenate([s.column for s in self.segments])
 
     def scales(self, outputs: int, correlated: bool) -> Scales:
         """Scales estimated from the residuals of each output.
 
         correlated   weight them by their correlation time, so that slow ones do not outweigh fast ones
         """
-        residuals = [
-            np.concatenate([s.residual[s.column == k] for s in self.segments]) for k in range(outputs)
-        ]
+        residuals = [self.residual[self.column == k] for k in range(outputs)]
         error = [np.sqrt(max(0.0, float(np.mean(r**2)) - 1)) if r.size else 0.0 for r in residuals]
         times = [correlation_time(r) if correlated else 1.0 for r in residuals]
         return Scales(np.array(error), np.array(times))
@@ -403,7 +407,9 @@ def minimise(
             current = linear.at
             best = linear.merit(linear.step(LARGEST_RADIUS, problem.bounds()))
             remaining = math.sqrt(max(0.0, linear.merit() - best))
-            history.append(Iteration(len(history), current.rms, remaining, problem.by_name(current.z)))
+            history.append(
+                Iteration(len(history), rms(current.residual), remaining, problem.by_name(current.z))
+            )
             if progress:
                 progress(history[-1])
             scales = current.scales(outputs, correlated=not far)

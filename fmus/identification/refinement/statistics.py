@@ -80,9 +80,9 @@ def statistics(solution: Minimum, prior_sd: Array, by_inputs: Array) -> Statisti
     by_inputs   covariance that the noise of the inputs causes
     """
     linear, parameters = solution.linear, len(prior_sd)
-    segments, scales = linear.at.segments, linear.scales
-    weighted = np.concatenate([s.residual / scales.sd[s.column] for s in segments])
-    samples = sum(float(np.sum(1 / scales.correlation_time[s.column])) for s in segments)
+    at, scales = linear.at, linear.scales
+    weighted = at.residual / scales.sd[at.column]
+    samples = float(np.sum(1 / scales.correlation_time[at.column]))
     initial_states = sum(len(run.top) for run in linear.runs)
     degrees_of_freedom = max(1, round(samples) - parameters - initial_states)
     variance = float(weighted @ weighted) / degrees_of_freedom
@@ -96,7 +96,7 @@ def statistics(solution: Minimum, prior_sd: Array, by_inputs: Array) -> Statisti
         robust_covariance=_jackknife(linear.runs, prior, _inverse(information + prior)) + by_inputs,
         data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + by_inputs,
         degrees_of_freedom=degrees_of_freedom,
-        segments=len(segments),
+        segments=len(at.segments),
         condition=condition if len(jacobian) >= parameters else math.inf,
     )
 

@@ -22,13 +22,9 @@ import numpy as np
 import statsmodels.api as sm
 from scipy.optimize import nnls
 
-from fmus.identification.report.prediction import (
-    Excitation,
-    RecordingComparison,
-    Signals,
-    excitation,
-    predict,
-)
+from fmus.identification.recordings.clock import period
+from fmus.identification.report import prediction
+from fmus.identification.report.prediction import Excitation, Signals, excitation, predict
 from fmus.identification.results import CONFIDENCE
 from orchestrator.base.processes import mapping
 from orchestrator.base.signals import rms
@@ -80,7 +76,7 @@ def effect_changes(
 
 
 def attribute(
-    comparison: RecordingComparison, parameters: Mapping[str, float], processes: int = 1
+    comparison: prediction.RecordingComparison, parameters: Mapping[str, float], processes: int = 1
 ) -> Explanation:
     """Which effect the residual shows, apart from errors of the identified parameters.
 
@@ -89,13 +85,13 @@ def attribute(
     """
     recording, residual = comparison.recording, comparison.residual()
     noise = {name: recording.sensor(name).sd for name in residual}
-    measured = {n: y for n in residual if np.isfinite(y := comparison.measured[n]).any()}
-    small = {name: SMALL * float(np.nanmax(y) - np.nanmin(y)) for name, y in measured.items()}
+    measured = {n: y[np.isfinite(y)] for n, y in comparison.measured.items() if n in residual}
+    small = {name: SMALL * float(np.ptp(y)) for name, y in measured.items() if y.size}
     effects: Mapping[str, Signals] = {}
     if unexplained(residual, noise, small):  # else the simulations, most of the time, would tell nothing
         effects = effect_changes(excitation(recording), parameters, processes)
-    step = float(np.median(np.diff(recording.time)))
-    return explain(residual, effects, step=step, noise=noise, small=small, absorbed=comparison.sensitivities)
+    every = period(recording.time)
+    return explain(residual, effects, step=every, noise=noise, small=small, absorbed=comparison.sensitivities)
 
 
 @dataclass(frozen=True)

@@ -70,14 +70,9 @@ def report(page: Content) -> Report:
     )
     outside = [found.doubt() for found in (page["prediction"] or {}).get("extrapolated", ())]
     parts: list[Part] = [
-        *(
-            Text([*lines], only=TERMINAL)
-            for lines in (
-                _predicted(page["prediction"]),
-                [found.verdict] if found else [],
-                (f"warning: {doubt}" for doubt in (*doubts, *outside)),
-            )
-        ),
+        Text([*_predicted(page["prediction"])], only=TERMINAL),
+        Text([found.verdict] if found else [], only=TERMINAL),
+        Text([f"warning: {doubt}" for doubt in (*doubts, *outside)], only=TERMINAL),
         Columns([_table(sorted(page["parameters"], key=lambda p: not p["doubt"]), PARAMETERS), *worst]),
         *_sections(page),
     ]
@@ -391,13 +386,12 @@ def _doubt(estimate: Estimate, refined: RefinementResult | None, faults: Iterabl
     refined   the joint refinement, if it found the estimate
     faults    what tests of its procedure have found
     """
-    open_end = math.isinf(estimate.low) or math.isinf(estimate.high)
-    wide = estimate.high - estimate.low > 2 * WIDE * abs(estimate.value)
+    width = estimate.high - estimate.low
     reasons = {
         "at a bound": refined is not None and estimate.name in refined.at_bound,
         "the search did not converge": refined is not None and not refined.converged,
-        "the data leave it open": open_end,
-        "wide interval": wide and not open_end,
+        "the data leave it open": math.isinf(width),
+        "wide interval": math.inf > width > 2 * WIDE * abs(estimate.value),
         **{f"a test contradicts: {fault}": True for fault in faults},
     }
     return "; ".join(reason for reason, holds in reasons.items() if holds)
@@ -405,20 +399,19 @@ def _doubt(estimate: Estimate, refined: RefinementResult | None, faults: Iterabl
 
 def _parameter(estimate: Estimate, procedure: str, doubt: str) -> dict[str, Any]:
     """An estimate with its procedure, why it is doubtful, and the value that the parameter files have."""
-    known = lookup(estimate.name, nominal())
-    name = estimate.name.rpartition(".")[2]
+    known, name = lookup(estimate.name, nominal()), estimate.name.rpartition(".")[2]
     text = next(q[name].text for s in FERIC.subsystems.values() if name in (q := quantities(s.parameters)))
-    before = {"prior": known.value, "prior_source": known.source}
-    return {"estimate": estimate, "procedure": procedure, "doubt": doubt, **before, "text": text}
+    found = {"estimate": estimate, "procedure": procedure, "doubt": doubt}
+    return found | {"prior": known.value, "prior_source": known.source, "text": text}
 
 
 def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str, str]:
     """Commands that use the estimates -> their purpose."""
     commands = {f"harvester build --parameters {out}": "FMUs with these parameters"}
-    for recording in identified.of_machine("test")[:1]:
-        played = [f' --play "*.{n}"' for n in prediction.LINES if f"swing.{n}" in recording.signals]
-        command = f"harvester validate --reference {folder / recording.source.name}{''.join(played)}"
-        commands[command] = "Validation of these FMUs against the held-out recording"
+    for r in identified.of_machine("test")[:1]:
+        played = "".join(f' --play "*.{n}"' for n in prediction.LINES if f"swing.{n}" in r.signals)
+        validate = f"harvester validate --reference {folder / r.source.name}{played}"
+        commands[validate] = "Validation of these FMUs against the held-out recording"
     return commands
 
 
