@@ -1,8 +1,8 @@
 """Read recordings for identification (one or a folder), and select or replace samples.
 
 A recording is a data file and the TOML file of the same name that describes it, see docs/recordings.md and
-`orchestrator.data.recording`. `take`, `window` and `split` select samples, `add` adds or replaces a signal
-with its unit and sensor. All return a new recording with the same conditions.
+`orchestrator.data.recording`. `take` and `split` select samples, as `Recording.window` does, `add` adds or
+replaces a signal with its unit and sensor. All return a new recording with the same conditions.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -136,18 +136,13 @@ def take(recording: Recording, samples: slice | Mask | NDArray[np.int64]) -> Rec
     return replace(recording, time=recording.time[samples], signals=signals)
 
 
-def window(recording: Recording, start: float = -np.inf, stop: float = np.inf) -> Recording:
-    """The samples with start <= time < stop [s]; the time window of a description includes its end."""
-    part = take(recording, (recording.time >= start) & (recording.time < stop))
-    if not len(part.time):
-        got = f"{recording.time[0]:g} s to {recording.time[-1]:g} s"
-        raise Problem(f"{recording.source}: expected samples from {start:g} s to {stop:g} s, got {got}")
-    return part
-
-
 def split(recording: Recording, at: float) -> tuple[Recording, Recording]:
     """The recording before and from the time `at` [s], such as one part to fit and one to hold out."""
-    return window(recording, stop=at), window(recording, start=at)
+    before = recording.time < at
+    if before.all() or not before.any():
+        got = f"{recording.time[0]:g} s to {recording.time[-1]:g} s"
+        raise Problem(f"{recording.source}: expected samples before and from {at:g} s, got {got}")
+    return take(recording, before), take(recording, ~before)
 
 
 def add(recording: Recording, name: str, values: Array, unit: str, sensor: Sensor | None = None) -> Recording:

@@ -10,7 +10,6 @@ from identification.refinement.oscillator import INVERTED, NOISE, TRUTH, problem
 from kit.mistakes import problem as problem_of
 
 from benchmarks.black_box import BlackBox
-from fmus.identification.recordings.reading import window
 from fmus.identification.refinement import shooting
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.shooting import Iteration, condense, triangular
@@ -153,7 +152,7 @@ def test_errors_of_the_user_are_messages_of_one_line() -> None:
 
 def test_a_recording_may_begin_in_motion() -> None:
     """An initial speed that is not zero is not forced to zero, and the parameters stay right."""
-    moving = run(window(recording(), 2.5, 12.0))
+    moving = run(recording().window(2.5, 12.0))
     found = refine(problem(moving))
     assert (run(recording()).at_rest, moving.at_rest) == (("speed",), ())
     assert found.converged
