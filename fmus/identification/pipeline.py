@@ -295,11 +295,13 @@ def run(
 
     Returns the exit status: 0 without a warning, `DOUBTFUL`, or `CONTRADICTED` if all warnings are findings.
 
-    out    parameters.toml to write
-    page   folder of identification.html and .json
+    out      parameters.toml to write
+    page     folder of identification.html and .json
+    report   takes lines of text: progress, warnings and results
 
     After an interrupt the parameters estimated until then are written, and KeyboardInterrupt is raised again.
     """
+    # these modules import this one
     from fmus.identification.report.identification_page import NAME, faults, page_content
     from fmus.identification.report.identification_page import report as page_report
     from fmus.identification.report.prediction import prediction
@@ -340,6 +342,7 @@ def run(
 
 
 def _seconds(recording: Recording) -> float:
+    """Length of a recording [s]."""
     return float(recording.time[-1] - recording.time[0])
 
 

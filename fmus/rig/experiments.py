@@ -216,16 +216,18 @@ def _edge(edge: str, machine: str) -> Experiment:
 def _hose(
     named: Named, resistance: float, steps: Sequence[float], hold: float, ramp: float, machine: str
 ) -> Experiment:
+    """The hose of the stick, its throttle [Pa.s2/m6] at the end, with commands as in `levels` [V]."""
+    procedure, change = named
     p = drives("detailed")
     length, bore = (Condition(value, "m") for value in (p.stick.hose.length, p.stick.hose.bore))
     time, command = levels((0.0, *steps), hold, ramp)
     signals = stick_hose(machine, resistance, time, command)
-    if named[0] == "hose_dynamics":
+    if procedure == "hose_dynamics":
         signals = {"command": command, **signals}
     else:  # one meter, at the end
         signals = {n: signals[n] for n in ("pressure_in", "pressure_out")} | {"flow": signals["flow_out"]}
-    named, density = (named[0], f"Hose of 4 m and 3/4 in, {named[1]}"), Condition(p.density, "kg/m3")
-    return _bench(named, time, signals, length=length, diameter=bore, density=density)
+    titled, density = (procedure, f"Hose of 4 m and 3/4 in, {change}"), Condition(p.density, "kg/m3")
+    return _bench(titled, time, signals, length=length, diameter=bore, density=density)
 
 
 def _motor(stepped: str, machine: str) -> Experiment:
@@ -246,11 +248,9 @@ WEIGHTS, SEALS = (40.0, 80.0, 120.0, 160.0, 100.0, 60.0), 1e-12
 def hold(seals: float = SEALS, square: float = 0.0) -> Experiment:
     """A cylinder holds weights, each for 5 s; leakage past its seals as in `hold_test`."""
     time, pressure = levels([1e5 * weight for weight in WEIGHTS], 5.0, 0.2)
-    named, signals = (
-        ("seal_leakage", "Cylinder with worn seals, hold test"),
-        hold_test(time, pressure, seals, square),
-    )
-    return replace(_bench(named, time, signals, bore=Condition(BORE, "m")), machine="lumped")
+    signals = hold_test(time, pressure, seals, square)
+    named, bore = ("seal_leakage", "Cylinder with worn seals, hold test"), Condition(BORE, "m")
+    return replace(_bench(named, time, signals, bore=bore), machine="lumped")
 
 
 BENCH_EXPERIMENTS: dict[str, Callable[[str], Experiment]] = {
@@ -332,6 +332,7 @@ def _driven(
 
 
 def _on_machine() -> Iterator[tuple[str, Callable[[str], Experiment]]]:
+    """Experiments on the whole machine: name, and a function of the machine."""
     for joint, own in _TABLES["damping"].items():
         for n, (pose, sign) in enumerate(own["recordings"], 1):
             rows = [(sign * command, hold) for command, hold in own["strokes"]]

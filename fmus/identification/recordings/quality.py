@@ -113,8 +113,8 @@ def _signal(recording: Recording, name: str, notes: list[str], constant: list[st
     values, sensor, unit = recording[name], recording.sensor(name), recording.units[name]
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (math.nan, math.nan)
-    seen, moving = (masks.noise(values, sensor, moving=moving) for moving in (False, True))
-    step = masks.step(values)
+    seen, step = masks.noise(values, sensor), masks.step(values)
+    moving = masks.noise(values, sensor, moving=True)
     zone, unused = masks.zeros_of_dead_zone(values, sensor), masks.faults(recording, name)
     dead = unused.pop("dead zone")
     zeros = max((run.stop - run.start for run in true_intervals(finite == 0)), default=0)

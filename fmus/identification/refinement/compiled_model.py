@@ -44,9 +44,16 @@ from orchestrator.data.table import Array
 DELAY_STEP = 1e-3  # s, of the difference quotients by a delay; a fifth of the period of a usual logger
 WIDTH = 8  # sensitivity columns per vector: a cache line, one to four registers of current processors
 COMPILER_FLAGS = (
-    *("-std=gnu11", "-O2", "-g0", "-fPIC", "-shared", "-fvisibility=hidden"),
-    # the model must give the floating-point results of the FMU; sens.c itself allows contraction
-    *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
+    "-std=gnu11",
+    "-O2",
+    "-g0",
+    "-fPIC",
+    "-shared",
+    "-fvisibility=hidden",
+    # the model must give the floating-point results of the FMU; sens.h allows contraction after it
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fno-trapping-math",
     "-mcpu=native",  # widest vector registers; the build cache is keyed by processor
 )
 C_FILES = ("model.c", "inputs.c", "rosenbrock.c", "runge_kutta.c", "solver.c", "sens.c", "sensitivities.c")

@@ -90,8 +90,8 @@ def attribute(
     effects: Mapping[str, Signals] = {}
     if unexplained(residual, noise, small):  # else the simulations, most of the time, would tell nothing
         effects = effect_changes(excitation(recording), parameters, processes)
-    every = period(recording.time)
-    return explain(residual, effects, step=every, noise=noise, small=small, absorbed=comparison.sensitivities)
+    step = period(recording.time)
+    return explain(residual, effects, step=step, noise=noise, small=small, absorbed=comparison.sensitivities)
 
 
 @dataclass(frozen=True)

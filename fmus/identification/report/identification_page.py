@@ -81,6 +81,7 @@ def report(page: Content) -> Report:
 
 
 def _without(values: Content, *names: str) -> dict[str, Any]:
+    """All values but those of these names."""
     return {name: value for name, value in values.items() if name not in names}
 
 

@@ -132,10 +132,12 @@ class RecordingComparison:
 
     def held(self) -> dict[str, float]:
         """Share of the good samples of each signal in its band."""
-        good = {n: np.isfinite(self.measured[n]) for n in self.sd if n in self.measured}
-        distance = {n: np.abs(self.measured[n] - self.predicted[n]) for n in good}
-        half = coverage_factor()
-        return {n: float(np.mean((distance[n] <= half * self.sd[n])[g])) for n, g in good.items() if g.any()}
+        shares = {}
+        for name in (n for n in self.sd if n in self.measured):
+            (low, high), y = self.band(name), self.measured[name]
+            if (good := np.isfinite(y)).any():
+                shares[name] = float(np.mean(((low <= y) & (y <= high))[good]))
+        return shares
 
     def residual(self) -> dict[str, Array]:
         """Measured - predicted of every signal that has a sensor and is an output of the machine."""
