@@ -172,6 +172,9 @@ def cut_into_segments(
     """The recordings of a problem in segments; priors of the initial states are those at z."""
     if not problem.training:
         raise Problem(f"{problem.sub.name}: expected at least one recording to fit, got none")
+    if not any(run.compared.any() for run in problem.training):
+        names = ", ".join(run.name for run in problem.training)
+        raise Problem(f"{names}: expected outputs with usable samples, got only missing or faulty ones")
     edges, p = tuple(cut(run.time, segment) for run in problem.training), problem.values_of(z)
     states = (run.initial_state(simulator, p, corrected=False)[0] for run in problem.training)
     return Shooting(problem, simulator, tuple(state / simulator.nominal for state in states), edges)

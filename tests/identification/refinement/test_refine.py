@@ -136,8 +136,9 @@ def test_interrupt_keeps_the_best_so_far(horizon: float) -> None:
 
 
 def test_errors_of_the_user_are_messages_of_one_line() -> None:
-    """An unknown parameter, an output without noise, an initial value outside its bounds: one line each."""
+    """Such as an unknown parameter, no noise, no usable sample, a value outside its bounds: one line each."""
     one, bare = run(recording()), replace(recording(), sensors={})
+    dead = run(recording(dead_zone=1e3))
     for call, message in (
         (lambda: problem(one, priors={"friction": (1.0, None)}), "oscillator: friction is not a parameter"),
         (
@@ -146,6 +147,7 @@ def test_errors_of_the_user_are_messages_of_one_line() -> None:
         ),
         (lambda: run(bare), "position: expected a sensor with noise or resolution"),
         (lambda: refine(problem()), "expected at least one recording to fit"),
+        (lambda: refine(problem(dead)), "oscillator_0: expected outputs with usable samples, got only"),
     ):
         assert re.search(message, problem_of(call))
 
