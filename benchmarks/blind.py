@@ -55,7 +55,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from fmus.identification.command import run
+from fmus.identification.pipeline import run
 from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]

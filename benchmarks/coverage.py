@@ -29,8 +29,7 @@ from fmus.identification.machine import Parameters, lookup, nominal
 from fmus.identification.pipeline import PROCEDURES, identify
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.results import Estimate, ProcedureResult
-from fmus.rig.experiments import EXPERIMENTS, WEIGHED, experiment
-from fmus.rig.instruments import ANGLE, Experiment, generator
+from fmus.rig.experiments import ANGLE, EXPERIMENTS, WEIGHED, Experiment, experiment, generator
 from fmus.rig.recordings import write
 from orchestrator.base.units import parse_unit
 

@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.black_box import BlackBox
 from benchmarks.played import Fmu
 from fmus.identification.machine import FREE, nominal, problem
-from fmus.identification.recordings.reading import read, window
+from fmus.identification.recordings.reading import read
 from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.refine import (
@@ -47,7 +47,7 @@ JOINTS = ("swing", "boom", "stick")
 def task(folder: Path, seconds: float) -> EstimationProblem:
     """The first training recording against the machine; nothing is known but the recording."""
     csv, _ = write(folder, experiment("machine_train_1", "lumped"), 0)
-    whole = problem([window(read(csv), 0.0, seconds)], nominal(), FREE)
+    whole = problem([read(csv).window(0.0, seconds)], nominal(), FREE)
     return replace(whole, free=tuple(replace(f, sd=None) for f in whole.free))
 
 

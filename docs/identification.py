@@ -20,7 +20,7 @@ from fmus.identification.machine import lookup, nominal
 from fmus.identification.pipeline import Identified, identify
 from fmus.identification.procedures import valve, weighing
 from fmus.identification.recordings.reading import MACHINE, read_folder
-from fmus.identification.report import report_texts
+from fmus.identification.report import identification_page as texts
 from fmus.identification.report.attribution import Explanation, attribute
 from fmus.identification.report.figures import joint_figure, procedure_figures
 from fmus.identification.report.prediction import (
@@ -133,7 +133,7 @@ def estimates(found: Iterable[Estimate]) -> str:
 
 def value(e: Estimate) -> tuple[str, str, str]:
     """Value, interval and unit as they are shown."""
-    return report_texts.value(e), report_texts.interval(e), display_unit(e.unit).name
+    return texts.value(e), texts.interval(e), display_unit(e.unit).name
 
 
 def returned(found: Identified) -> str:
@@ -143,8 +143,8 @@ def returned(found: Identified) -> str:
         for e in result.estimates:
             truth = lookup(e.name, nominal()).value
             holds = "yes" if e.low <= truth <= e.high else "no"
-            shown = report_texts.number(truth, 4, e.unit)
-            rows.append((f"`{e.name}`", shown, *value(e), report_texts.change(e.value, truth), holds))
+            shown = texts.number(truth, 4, e.unit)
+            rows.append((f"`{e.name}`", shown, *value(e), texts.change(e.value, truth), holds))
     head = ("parameter", "rig", "identified", "95 % interval", "unit", "off by", "interval contains it")
     return table(head, rows)
 
@@ -170,7 +170,7 @@ def refined(found: Identified) -> str:
     rows = []
     for name, (e, procedure) in found.estimates.items():
         if procedure == MACHINE:
-            before = report_texts.number(lookup(name, nominal()).value, 4, e.unit)
+            before = texts.number(lookup(name, nominal()).value, 4, e.unit)
             rows.append((f"`{name}`", before, *value(e)))
     return table(("parameter", "in the model", "identified", "95 % interval", "unit"), rows)
 
@@ -178,7 +178,7 @@ def refined(found: Identified) -> str:
 def held_out(seen: RecordingComparison) -> str:
     """The worst signal of each kind in the cycle that was not used for fitting."""
     rows = [
-        (KINDS[kind], f"`{name}`", report_texts.percentage(error, 3), LIMITS.get(kind, ""))
+        (KINDS[kind], f"`{name}`", texts.percentage(error, 3), LIMITS.get(kind, ""))
         for kind, (name, error) in worst(seen.nrmse()).items()
     ]
     return table(("", "worst signal", "NRMSE", "limit"), rows)
@@ -189,8 +189,8 @@ def effects(found: Explanation) -> str:
     rows = [
         (
             s.effect,
-            report_texts.percentage(s.alone),
-            report_texts.number(s.coefficient, 2),
+            texts.percentage(s.alone),
+            texts.number(s.coefficient, 2),
         )
         for s in found.shares
     ]

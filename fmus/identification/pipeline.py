@@ -1,11 +1,15 @@
 """Identification pipeline: the paper's procedures in its order, then a refinement of all parameters together.
 
-Each procedure uses the estimates of those before it. No file is written.
+Each procedure uses the estimates of those before it. `identify` writes no file; `run` is the command
+`harvester identify`, which writes parameters.toml and a report from a folder of recordings.
 """
 
+import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
 from typing import NoReturn
 
 from fmus.composition import declared
@@ -19,29 +23,22 @@ from fmus.identification.procedures.procedure import Computed, Procedure
 from fmus.identification.procedures.seal_leakage import SEAL_LEAKAGE
 from fmus.identification.procedures.valve import VALVE
 from fmus.identification.procedures.weighing import WEIGHING
-from fmus.identification.recordings.quality import hum
-from fmus.identification.recordings.reading import (
-    CONDITIONS,
-    MACHINE,
-    MACHINE_SIGNALS,
-    NOTE,
-    REST,
-    TEMPERATURE,
-    require,
-)
+from fmus.identification.recordings import reading
+from fmus.identification.recordings.quality import hum, prepared
+from fmus.identification.recordings.reading import CONDITIONS, MACHINE, MACHINE_SIGNALS, REST, TEMPERATURE
 from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
 from fmus.identification.refinement.shooting import INTERRUPTED
-from fmus.identification.results import Estimate, Finding, ProcedureResult
+from fmus.identification.results import NO_RECORDING, Estimate, Finding, ProcedureResult, least
 from fmus.machine.parts import FERIC
-from fmus.parameters import Number
+from fmus.parameters import Number, write
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.progress import doing
 from orchestrator.base.text import display_unit, first_names
 from orchestrator.data.recording import Recording
 
 # zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper has no others
 _BENCHES = rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, SEAL_LEAKAGE
 PROCEDURES: Mapping[str, Procedure | Computed] = {p.name: p for p in (*_BENCHES, DAMPING, WEIGHING)}
-NO_RECORDING = "no recording"
 GROUPS = ("inputs", "outputs")  # of the machine's variables that can be recorded
 UNREAD: Mapping[str, tuple[str, ...]] = {"hose_dynamics": ("command",)}  # usual signals that are not needed
 FEW = 20  # names that are listed in a message
@@ -205,18 +202,17 @@ def _run_joint(identified: Identified, names: Sequence[str], report: Report, act
 
 def hum_findings(recordings: Iterable[Recording]) -> Iterator[tuple[str, Finding]]:
     """A test of each signal but commands with a periodic disturbance large enough: procedure and finding."""
-    found: dict[tuple[str, str], list[tuple[float, str]]] = {}
+    found: dict[tuple[str, str], list[Finding]] = {}
     for r in recordings:
         for name in (n for n in r.signals if not n.endswith("command")):
             p, frequency, rms = hum(r, name)
             size = f"{frequency:.3g} Hz, {display_unit(r.units[name]).ascii(rms)} rms"
             sentence = f"{r.source.name}: {name} has a periodic disturbance of {size}: a hum of the mains?"
+            sentence += " The intervals take it for noise of independent samples"
             if p < 1.0:
-                found.setdefault((r.procedure, name), []).append((p, sentence))
-    for (procedure, _), tests in found.items():
-        p, sentence = min(tests)
-        told = f"{sentence} The intervals take it for noise of independent samples"
-        yield procedure, Finding("periodic disturbance", min(1.0, len(tests) * p), told)
+                finding = Finding("periodic disturbance", p, sentence)
+                found.setdefault((r.procedure, name), []).append(finding)
+    return ((procedure, least(tests)) for (procedure, _), tests in found.items())
 
 
 def refine_together(
@@ -261,8 +257,8 @@ def check_names(recordings: Iterable[Recording], signals: Mapping[str, Mapping[s
     of_driving = {name for names in FERIC.inputs.values() for name in names}
     for recording in recordings:
         procedure, source, conditions = recording.procedure, recording.source, CONDITIONS[recording.procedure]
-        for name in (n for n in recording.conditions if n not in (*conditions, NOTE)):
-            _refuse(f"{source}: [experiment] {name}", procedure, name, conditions, NOTE)
+        for name in (n for n in recording.conditions if n not in (*conditions, reading.NOTE)):
+            _refuse(f"{source}: [experiment] {name}", procedure, name, conditions, reading.NOTE)
         known = of_machine if procedure in MACHINE_SIGNALS else signals[procedure]
         read = {*known, *UNREAD.get(procedure, ()), TEMPERATURE}
         for name in recording.signals:
@@ -271,7 +267,7 @@ def check_names(recordings: Iterable[Recording], signals: Mapping[str, Mapping[s
                 raise Problem(f"{source}: signal {name}: delay_error: {only}; `delay` states a known one")
             if procedure != REST and name not in read:  # at rest any sensor
                 _refuse(f"{source}: signal {name}", procedure, name, known, TEMPERATURE)
-        require(recording, {name: unit for name, unit in known.items() if name in recording.signals})
+        reading.require(recording, {name: unit for name, unit in known.items() if name in recording.signals})
 
 
 def _refuse(place: str, procedure: str, name: str, read: Collection[str], other: str) -> NoReturn:
@@ -279,3 +275,85 @@ def _refuse(place: str, procedure: str, name: str, read: Collection[str], other:
     listed = ", ".join(sorted(read)) if len(read) < FEW else "inputs and outputs of the machine"
     similar = suggest(name.lower(), read)
     raise Problem(f"{place}: {procedure} does not read it; it reads {listed} and {other}{similar}")
+
+
+# ---- the command -----------------------------------------------------------------------------------------
+
+DOUBTFUL, CONTRADICTED = 1, 3  # exit statuses: 2 is a mistake of the user
+
+
+def run(
+    folder: Path,
+    out: Path,
+    page: Path,
+    *,
+    joint: bool = True,
+    names: Sequence[str] = machine.FREE,
+    report: Report = print,
+) -> int:
+    """Read the recordings, identify, write parameters and report.
+
+    Returns the exit status: 0 without a warning, `DOUBTFUL`, or `CONTRADICTED` if all warnings are findings.
+
+    out      parameters.toml to write
+    page     folder of identification.html and .json
+    report   takes lines of text: progress, warnings and results
+
+    After an interrupt the parameters estimated until then are written, and KeyboardInterrupt is raised again.
+    """
+    # these modules import this one
+    from fmus.identification.report.identification_page import NAME, faults, page_content
+    from fmus.identification.report.identification_page import report as page_report
+    from fmus.identification.report.prediction import prediction
+
+    if out.suffix != ".toml":
+        raise Problem(f"--out {out}: expected a file that ends in .toml")
+    start_time = perf_counter()
+    recordings = reading.read_folder(folder)
+    suspect = reading.doubtful(recordings)
+    report(f"{folder}: {len(recordings)} recordings, {sum(map(_seconds, recordings)):.0f} s")
+    if work := [_seconds(r) for r in recordings if r.procedure == MACHINE and r.use == "train" and joint]:
+        longer = "thrice that if the data show effects that the model lacks"
+        report(f"  takes about {sum(work):.0f} s, {longer}")
+    recordings, qualities = map(list, zip(*map(prepared, recordings), strict=True))
+    doubts = (f"warning: {sentence}" for sentence in suspect)
+    for line in (*faults(qualities), *reading.unused_files(folder, recordings), *doubts):
+        report(f"  {line}")
+    identified = identify(recordings, joint=joint, names=names, report=report, activity=doing)
+    report(_written(out, identified))
+    if identified.interrupted:
+        raise KeyboardInterrupt
+    with doing("simulating what the model predicts, and the effects that it lacks"):
+        comparison = prediction(identified)
+        contents = page_content(folder, out, identified, comparison, qualities, os.cpu_count() or 1)
+    contradicted = [
+        f["sentence"] if f["sentence"].startswith(f["procedure"]) else f"{f['procedure']}: {f['sentence']}"
+        for f in contents["findings"]
+        if f["named"]
+    ]
+    status = DOUBTFUL if suspect or contents["warnings"] else CONTRADICTED if contradicted else 0
+    contents["warnings"] = [*suspect, *contents["warnings"], *contradicted]
+    found = page_report(contents)
+    report(found.text())
+    with doing("drawing the figures of the page"):
+        html, data = found.write(page / f"{NAME}.html")
+    report(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")
+    return status
+
+
+def _seconds(recording: Recording) -> float:
+    """Length of a recording [s]."""
+    return float(recording.time[-1] - recording.time[0])
+
+
+def _written(out: Path, identified: Identified) -> str:
+    """Write parameters.toml; returns a line about it."""
+    parameters = {name: e.number() for name, (e, _) in sorted(identified.estimates.items())}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write(out, {"parameters": parameters | identified.listed})
+    count = len(parameters)
+    if identified.interrupted:
+        return f"{out}: {count} parameter{'s' * (count > 1)}, estimated until the interrupt; no report"
+    curves = len({n.listed for n in identified.listed.values()}) // 2
+    tables = f" and the opening curves of {curves} edges" if curves else ""
+    return f"{out}: {count} parameters with their 95 % intervals{tables}"

@@ -14,6 +14,7 @@ from orchestrator.base.text import display_unit
 from orchestrator.data.table import Array
 
 CONFIDENCE = 0.95  # level of all intervals
+NO_RECORDING = "no recording"  # why a procedure was skipped
 LEVEL = 0.01  # probability that any finding is named although no assumption is wrong
 BAR, LITRES_PER_MINUTE = ("bar", 1e5), ("L/min", 1e-3 / 60)  # display units: name, SI value of one
 CurveKind = Literal["measured", "fit", "masked"]
@@ -106,6 +107,12 @@ class Finding:
     fault: str
     p: float
     sentence: str
+
+
+def least(findings: Sequence[Finding]) -> Finding:
+    """The least probable of several findings, as the only one of them [Bonferroni]."""
+    found = min(findings, key=lambda finding: finding.p)
+    return replace(found, p=min(1.0, len(findings) * found.p))
 
 
 def named(findings: Iterable[Finding]) -> list[Finding]:

@@ -8,8 +8,7 @@
 The command is `harvester rig`.
 """
 
-from fmus.rig.experiments import MACHINES, experiments
-from fmus.rig.instruments import Experiment, record
+from fmus.rig.experiments import MACHINES, Experiment, experiments, record
 from fmus.rig.recordings import write, write_all
 
 __all__ = ["MACHINES", "Experiment", "experiments", "record", "write", "write_all"]

@@ -153,16 +153,12 @@ def _lumped_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]
     p, of = drives("lumped"), drives("lumped").stick.hose
 
     def line(x: ByName) -> Circuit:
-        drop = of.friction(p).drop(x["flow_in"])
-        return Circuit(
-            {"pressure_out": Node(x["pressure_out"], "C", of.capacitance)},
-            {
-                "flow_in": hose.column(
-                    *("pressure_in", "pressure_out", x["flow_in"], "I", of.inertance), drop
-                ),
-                "flow_out": throttle("pressure_out", TANK, resistance),
-            },
-        )
+        flow = x["flow_in"]
+        ends, drop = ("pressure_in", "pressure_out"), of.friction(p).drop(flow)
+        column = hose.column(*ends, flow, "I", of.inertance, drop)
+        end = throttle("pressure_out", TANK, resistance)
+        block = Node(x["pressure_out"], "C", of.capacitance)
+        return Circuit({"pressure_out": block}, {"flow_in": column, "flow_out": end})
 
     return line, {"flow_in": (0.0, 1e-3), "pressure_out": (RETURN, 1e7)}
 
@@ -199,8 +195,10 @@ def locked_motor(machine: str, time: Array, set_a: Array, set_b: Array) -> dict[
         nodes = {"set_a": Node(u["set_a"]), "set_b": Node(u["set_b"]), TANK: Node(0.0)}
         nodes |= {side: Node(x[side], "C", *oil) for side in sides}
         supplied = {
-            "supply_a": Branch("set_a", "line_a", Kind.THROTTLE, lambda drop: drop / MOTOR_THROTTLE),
-            "supply_b": Branch("set_b", "line_b", Kind.THROTTLE, lambda drop: drop / MOTOR_THROTTLE),
+            f"supply_{port}": Branch(
+                f"set_{port}", f"line_{port}", Kind.THROTTLE, lambda p: p / MOTOR_THROTTLE
+            )
+            for port in "ab"
         }
         if is_detailed:
             (a, b), meter = sides, "supply_a"
@@ -234,16 +232,11 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
         flow = x["flow"]  # out of the port
         flows = (flow, 0.0) if "A" in edge else (0.0, flow)
         of_valve, rates = valve_circuit(machine, x, u["command"], ports, flows)
-        whole = of_valve | Circuit(
-            {"block": Node(x["block"], "C", BLOCK / p.bulk_modulus)},
-            {
-                "flow": hose.column(
-                    *("port", "block", flow, "I", fraction * p.stick.hose.inertance),
-                    fraction * friction.drop(flow),
-                ),
-                "throttle": throttle("block", other_end, VALVE_THROTTLE),
-            },
-        )
+        inertance, drop = fraction * p.stick.hose.inertance, fraction * friction.drop(flow)
+        line = hose.column("port", "block", flow, "I", inertance, drop)
+        block = {"block": Node(x["block"], "C", BLOCK / p.bulk_modulus)}
+        of_bench = {"flow": line, "throttle": throttle("block", other_end, VALVE_THROTTLE)}
+        whole = of_valve | Circuit(block, of_bench)
         at_port = whole.pressures["port"]
         measured = (SUPPLY, at_port, flow) if from_supply else (at_port, RETURN, -flow)
         names = ("pressure_in", "pressure_out", "flow")

@@ -16,10 +16,8 @@ from typing import Literal
 
 import numpy as np
 
-from fmus.rig import instruments
 from fmus.rig.benches import TOLERANCE
-from fmus.rig.experiments import EXPERIMENTS, MACHINES, experiment
-from fmus.rig.instruments import Experiment, record
+from fmus.rig.experiments import EXPERIMENTS, LISTED, MACHINES, Experiment, experiment, record
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_columns, write_whole
 from orchestrator.base.processes import mapping
@@ -84,17 +82,13 @@ def _check_folder(out: Path) -> None:
 
 def readme(machine: str, seed: int) -> str:
     """The content of README.md."""
-    listed = (instruments.PRESSURE, instruments.FLOW, instruments.LEAKAGE, instruments.ANGLE)
-    text = (files("fmus.rig") / f"{README.removesuffix('.md')}.template").read_text(encoding="utf-8")
-    rows = []
-    for i in listed:
+    text, table = (files("fmus.rig") / "README.template").read_text(encoding="utf-8"), ""
+    for i in LISTED:
         span = f"{i.span[0]:g} to {i.span[1]:.6g} {i.unit}" if i.span else "none"
-        dead_zone = f"{i.dead_zone:g} {i.unit}" if i.dead_zone else "-"
-        about = (i.sensor, f"{i.noise:g} {i.unit}", f"{i.resolution:.4g} {i.unit}", span, dead_zone)
-        rows.append(f"| {' | '.join(about)} |")
-    return text.format(
-        heading=HEADING, machine=machine, variants=MACHINES[machine], seed=seed, table="\n".join(rows)
-    )
+        zone = f"{i.dead_zone:g} {i.unit}" if i.dead_zone else "-"
+        table += f"\n| {i.sensor} | {i.noise:g} {i.unit} | {i.resolution:.4g} {i.unit} | {span} | {zone} |"
+    known = {"heading": HEADING, "machine": machine, "variants": MACHINES[machine], "seed": seed}
+    return text.format(**known, table=table.strip())
 
 
 def write(folder: Path, experiment: Experiment, seed: int) -> tuple[Path, Path]:
@@ -109,16 +103,15 @@ def write(folder: Path, experiment: Experiment, seed: int) -> tuple[Path, Path]:
 def description(experiment: Experiment, seed: int) -> Description:
     """The content of NAME.toml; a test recording also has groups of signals with limits."""
     source = f"virtual test rig (fmus/rig), {experiment.machine} machine, noise of seed {seed}"
-    is_test = experiment.use == "test"
     signals: dict[str, SignalDescription] = {}
     limits: dict[str, Tolerance | Literal["none"]] = {}
     for name in experiment.signals:
-        group = _group(name) if is_test else ""
-        if is_test:
+        signals[name] = experiment.instruments[name]
+        if experiment.use == "test":
+            group = _group(name)
             limits[group] = Tolerance("nrmse", LIMITS[group]) if group in LIMITS else "none"
-        signals[name] = replace(experiment.instruments[name], group=group)
-        for other in SHARED.get(name, ()):
-            signals[other] = replace(signals[name], column=name)
+            signals[name] = replace(signals[name], group=group)
+        signals |= {other: replace(signals[name], column=name) for other in SHARED.get(name, ())}
     return Description(
         signals,
         reference=Origin(

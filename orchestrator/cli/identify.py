@@ -79,8 +79,8 @@ def identify(
     if not folder.is_dir():  # before the slow imports
         got = "a file" if folder.is_file() else "no such file or folder"
         raise Problem(f"{folder}: expected a folder of recordings, got {got}")
-    from fmus.identification.command import run as run_identify
     from fmus.identification.machine import FREE
+    from fmus.identification.pipeline import run as run_identify
 
     make_folder(out.parent)
     make_folder(report)

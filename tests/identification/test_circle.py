@@ -5,7 +5,7 @@ from kit import shards
 from fmus.identification.pipeline import identify
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.report.attribution import attribute
-from fmus.identification.report.prediction import default_values, prediction
+from fmus.identification.report.prediction import default_values, prediction, worst
 from fmus.machine.build import harvester_machine
 from fmus.parameters import values, write
 from fmus.rig import write_all
@@ -24,7 +24,7 @@ def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):
     seen = prediction(found)
     assert seen is not None
     assert seen.recording.use == "test"
-    errors = {kind: error for kind, (_, error) in seen.worst().items()}
+    errors = {kind: error for kind, (_, error) in worst(seen.nrmse()).items()}
     # the bars of the project: NRMSE over the range of the whole recording, worst signal of each kind
     assert errors["angle"] < 0.01
     assert errors["speed"] < 0.05

@@ -6,6 +6,7 @@ import re
 import shutil
 import tomllib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -36,8 +37,8 @@ SECONDS = 2.0  # of the machine at work
 def write_few(folder: Path) -> None:
     """A few recordings of the lumped machine, seed 0, those of the machine at work cut short."""
     with pytest.MonkeyPatch.context() as patch:
-        for constant in ("TRAINING_STOP", "WORK_CYCLE_STOP"):
-            patch.setattr(RIG, constant, SECONDS)
+        for name in (n for n in FEW if n.startswith("machine")):
+            patch.setitem(RIG.EXPERIMENTS, name, partial(RIG.EXPERIMENTS[name], stop=SECONDS))
         for name in FEW:  # not kept in memory
             write(folder, RIG.experiment.__wrapped__(name, "lumped"), 0)
 

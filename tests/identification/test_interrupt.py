@@ -8,9 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fmus.identification import command, pipeline
+from fmus.identification import pipeline
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
+from fmus.identification.recordings import reading
+from fmus.identification.report import identification_page
 from fmus.identification.results import Estimate, ProcedureResult
 from orchestrator.__main__ import main
 from orchestrator.data.recording import Recording
@@ -70,13 +72,10 @@ def test_the_command_writes_what_it_has(quick, tmp_path, capsys):
     """parameters.toml with the estimates, one line about it, exit status 130 as in other commands."""
     quick.chdir(tmp_path)
     quick.setattr(pipeline, "refine_together", interrupt)
-    for name, value in {
-        "read_folder": lambda _: [VALVE, MACHINE],
-        "prepared": lambda r: (r, None),
-        "faults": lambda _: [],
-        "unused_files": lambda *_: [],
-    }.items():
-        quick.setattr(command, name, value)
+    quick.setattr(pipeline, "prepared", lambda r: (r, None))
+    quick.setattr(identification_page, "faults", lambda _: [])
+    quick.setattr(reading, "read_folder", lambda _: [VALVE, MACHINE])
+    quick.setattr(reading, "unused_files", lambda *_: [])
     Path("mine").mkdir()
     assert main(["identify", "mine"]) == 130
     out, err = capsys.readouterr()

@@ -8,8 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus.operator_input.work_cycle import RATE
-from fmus.rig.experiments import HOLD, MOTOR_HOLD, experiment
-from fmus.rig.instruments import ANGLE, FLOW, LEAKAGE, PRESSURE, Experiment, generator, read
+from fmus.rig.experiments import (
+    ANGLE,
+    FLOW,
+    HOLD,
+    LEAKAGE,
+    MOTOR_HOLD,
+    PRESSURE,
+    Experiment,
+    experiment,
+    generator,
+    read,
+)
 from orchestrator.data.description import SignalDescription
 
 BOTH = pytest.mark.parametrize("machine", ["lumped", "detailed"])

@@ -8,8 +8,7 @@ import pytest
 
 from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES
-from fmus.rig.experiments import experiment
-from fmus.rig.instruments import record
+from fmus.rig.experiments import experiment, record
 from fmus.rig.recordings import SHARED, readme, write
 from orchestrator.data.recording import read_recording
 

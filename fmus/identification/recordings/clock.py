@@ -223,11 +223,10 @@ class SavitzkyGolay:
 
     def apply(self, values: Array, order: int = 0) -> Array:
         """The filtered signal or its derivative; NaN if the window is incomplete or contains a gap."""
-        result = np.full(len(values), np.nan)
-        if len(values) >= self.size:
-            half = self.size // 2
-            result[half : len(values) - half] = np.correlate(values, self.weights[order], mode="valid")
-        return result
+        if len(values) < self.size:
+            return np.full(len(values), np.nan)
+        inside = np.correlate(values, self.weights[order], mode="valid")
+        return np.pad(inside, self.size // 2, constant_values=np.nan)
 
     def gain(self, order: int) -> float:
         """Standard deviation of white noise after the filter over that before it [1/s^order]."""

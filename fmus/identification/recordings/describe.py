@@ -15,14 +15,7 @@ import numpy as np
 
 from fmus.identification.recordings.masks import faults, noise, step, zeros_of_dead_zone
 from fmus.identification.recordings.quality import examine
-from fmus.identification.recordings.reading import (
-    CHOICES,
-    CONDITIONS,
-    MACHINE,
-    MACHINE_SIGNALS,
-    NUMBERS,
-    REST,
-)
+from fmus.identification.recordings.reading import CHOICES, CONDITIONS, MACHINE, MACHINE_SIGNALS, REST, TABLES
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
@@ -36,29 +29,11 @@ from orchestrator.data.recording import Recording, Sensor
 from orchestrator.data.table import Columns, TextFormat, clock, is_in_days, read_columns, time_axis
 from orchestrator.data.trace import units_of_run
 
-# SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
+# SI unit -> what sensors of a machine measure, and the group of a quantity
 SENSORS: Mapping[str, Sequence[str]] = {
-    "V": ("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"),
-    "rad": ("manipulator.swing_angle", "manipulator.boom_angle", "manipulator.stick_angle"),
-    "rad/s": ("manipulator.swing_speed", "manipulator.boom_speed", "manipulator.stick_speed"),
-    "m": ("manipulator.boom_position", "manipulator.stick_position"),
-    "Pa": (
-        *("boom_stick.boom_head_pressure", "boom_stick.boom_rod_pressure", "boom_stick.stick_head_pressure"),
-        *("boom_stick.stick_rod_pressure", "swing.swing_pressure_a", "swing.swing_pressure_b"),
-        *("swing.supply_pressure", "swing.tank_pressure"),
-    ),
-    "m3/s": ("swing.swing_flow_a", "boom_stick.boom_head_flow", "boom_stick.stick_head_flow"),
-    "K": ("oil_temperature",),
+    u: q["signals"] for u, q in TABLES["quantities"].items() if "signals" in q
 }
-# word in the names of signals -> what loggers call it in English and German
-WORDS: Mapping[str, str] = {
-    "boom": "hub|ausleger|lift", "stick": "stiel|knick|wipp|dipper|jib", "swing": "slew|schwenk|dreh(?!zahl)",
-    "command": "cmd|soll|hebel|lever|joy|spannung", "angle": "winkel|encoder|pitch|pos(?!ition)",
-    "speed": "geschw|gyro|omega", "position": "stroke|weg", "pressure": "press|druck|prs",
-    "flow": "durchfluss|menge|volumenstrom", "head": "kolben|boden", "rod": "stange|ringseite",
-    "supply": "pump|versorg", "tank": "return|rück|rueck", "temperature": "temp",
-}  # fmt: skip
-GROUPS = {"rad": "angle", "rad/s": "speed", "m": "position", "Pa": "pressure", "m3/s": "flow"}
+GROUPS: Mapping[str, str] = {unit: q["group"] for unit, q in TABLES["quantities"].items() if "group" in q}
 # A time without a unit is in the largest one in which a logger is faster [Hz]. It is in seconds if its steps
 # are at most so long [s] and the log would else be shorter than any experiment [s]: 0, 1, 2 ... 60 are no ms.
 SLOWEST, SPARSE, SHORTEST = 2.0, 10.0, 0.5
@@ -146,7 +121,7 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     experiment = f'{mark}[experiment]\n{mark}procedure = "{procedure or MACHINE}"'
     for name in CONDITIONS.get(procedure, ()):
         first, *others = map(_text, CHOICES.get(name, ["?"]))
-        value = first if name in CHOICES else f"{{ value = ?, unit = {_text(NUMBERS[name])} }}"
+        value = first if name in CHOICES else f"{{ value = ?, unit = {_text(TABLES['units'][name])} }}"
         experiment += f"\n# {name} = {value}{'  # or ' * bool(others)}{', '.join(others)}"
     formats = "\n".join(f"{key} = {_text(v)}" for key, v in vars(form).items() if v not in (None, ""))
     limits = ["# [tolerances]  # with which `harvester validate` judges, here of errors over the range"]
@@ -209,7 +184,9 @@ def _candidates(column: str, unit: str, sensors: Mapping[str, Sequence[str]]) ->
     names = [name for group in (groups or sensors).values() for name in group]
     if groups and (same := [n for n in names if column.lower() in (n.lower(), bare_name(n).lower())]):
         return same, ""
-    words = {word for word, others in WORDS.items() if re.search(f"{word}|{others}", column.lower())}
+    words = {
+        word for word, others in TABLES["words"].items() if re.search(f"{word}|{others}", column.lower())
+    }
     score = {
         n: len(words & own) - len(words - own) / 2 for n in names for own in [{*bare_name(n).split("_")}]
     }

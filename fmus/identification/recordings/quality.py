@@ -5,35 +5,18 @@ reaches indicates a wrong unit. `prepared` gives the samples that an identificat
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.identification.recordings import masks
-from fmus.identification.recordings.clock import (
-    GAP,
-    MAX_RATE,
-    UNIFORM,
-    downsample,
-    period,
-    resample_uniformly,
-    sample_steps,
-)
-from fmus.identification.recordings.reading import MACHINE
+from fmus.identification.recordings import clock, masks
+from fmus.identification.recordings.clock import GAP, MAX_RATE, UNIFORM, period, sample_steps
+from fmus.identification.recordings.reading import MACHINE, TABLES
 from orchestrator.base.text import display_unit
 from orchestrator.data.recording import Mask, Recording, true_intervals
 from orchestrator.data.table import Array
 
-# SI unit -> plausible range of the largest magnitude in a recording
-PLAUSIBLE: Mapping[str, tuple[float, float]] = {
-    "Pa": (1e4, 1e8),  # a tenth of a bar; burst pressure of a hose
-    "m3/s": (0.0, 0.05),  # 3000 L/min; a leakage has no lower limit
-    "V": (0.1, 100.0),
-    "rad": (0.0, 4 * math.pi),  # two turns of the column; larger values may be degrees read as rad
-    "rad/s": (0.0, 20.0),
-}
 PLAUSIBLE_RATES = (10.0, 1e5)  # Hz, of a logger that records the motion of a valve
 COARSE, FINE = 1.5, 0.67  # a remark outside these ratios of step to stated resolution
 FINEST_STATED = 1e-4  # fraction of a signal's range; finer steps, such as digits of a file, need no statement
@@ -113,7 +96,7 @@ def examine(recording: Recording) -> Quality:
 
 def prepared(recording: Recording) -> tuple[Recording, Quality]:
     """A recording on a uniform clock, of the machine one of at most `MAX_RATE`; its quality before."""
-    found, uniform = examine(recording), resample_uniformly(recording)
+    found, uniform = examine(recording), clock.resample_uniformly(recording)
     if uniform is not recording:
         found.clock.append(f"The clock: all signals are interpolated at {found.rate:.6g} Hz; gaps stay gaps.")
     if recording.procedure != MACHINE:
@@ -122,7 +105,7 @@ def prepared(recording: Recording) -> tuple[Recording, Quality]:
         found.clock.append(
             f"The clock: {found.rate:.6g} Hz, filtered to {MAX_RATE:g} Hz to be fitted together."
         )
-    return downsample(uniform), found
+    return clock.downsample(uniform), found
 
 
 def _signal(recording: Recording, name: str, notes: list[str], constant: list[str]) -> SignalQuality:
@@ -130,11 +113,8 @@ def _signal(recording: Recording, name: str, notes: list[str], constant: list[st
     values, sensor, unit = recording[name], recording.sensor(name), recording.units[name]
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (math.nan, math.nan)
-    seen, moving, step = (
-        masks.noise(values, sensor),
-        masks.noise(values, sensor, moving=True),
-        masks.step(values),
-    )
+    seen, step = masks.noise(values, sensor), masks.step(values)
+    moving = masks.noise(values, sensor, moving=True)
     zone, unused = masks.zeros_of_dead_zone(values, sensor), masks.faults(recording, name)
     dead = unused.pop("dead zone")
     zeros = max((run.stop - run.start for run in true_intervals(finite == 0)), default=0)
@@ -146,7 +126,7 @@ def _signal(recording: Recording, name: str, notes: list[str], constant: list[st
         shown = display_unit(unit)
         return shown.plain(value) if unit == "1" else shown.ascii(value)
 
-    least, most = PLAUSIBLE.get(unit, (0.0, math.inf))
+    least, most = TABLES["quantities"].get(unit, {}).get("plausible", (0.0, math.inf))
     largest = max(abs(low), abs(high))
     # what is zero up to the noise of its sensor tells nothing about its unit
     implausible = largest > masks.AT_ZERO * sensor.sd and not least <= largest <= most

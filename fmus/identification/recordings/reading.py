@@ -1,13 +1,15 @@
 """Read recordings for identification (one or a folder), and select or replace samples.
 
 A recording is a data file and the TOML file of the same name that describes it, see docs/recordings.md and
-`orchestrator.data.recording`. `take`, `window` and `split` select samples, `add` adds or replaces a signal
-with its unit and sensor. All return a new recording with the same conditions.
+`orchestrator.data.recording`. `take` and `split` select samples, as `Recording.window` does, `add` adds or
+replaces a signal with its unit and sensor. All return a new recording with the same conditions.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,29 +25,12 @@ from orchestrator.data.table import READABLE, Array
 MACHINE, REST, NOTE = "machine", "rest", "note"
 TEMPERATURE = "oil_temperature"  # an optional signal of all recordings [K]
 MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
-# keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
-CONDITIONS: Mapping[str, tuple[str, ...]] = {
-    "valve": ("edge", "density", "viscosity"),
-    "hose_resistance": ("length", "diameter", "density", "viscosity"),
-    "hose_dynamics": ("length", "diameter", "density", "viscosity"),
-    "motor_leakage": ("shaft", "tank_pressure"),
-    "seal_leakage": ("bore",),
-    "damping": ("joint", "tank_pressure"),
-    "weighing": ("payload", "tank_pressure"),
-    MACHINE: ("tank_pressure",),
-    REST: (),
-}
-# words that a condition may have; the others are numbers with their SI unit
-CHOICES = {"edge": ("P-A", "B-T", "P-B", "A-T"), "shaft": ("locked",), "joint": ("swing", "boom", "stick")}
-NUMBERS = {
-    "length": "m",
-    "diameter": "m",
-    "bore": "m",
-    "density": "kg/m3",
-    "viscosity": "Pa.s",
-    "tank_pressure": "Pa",
-    "payload": "kg",
-}
+# of tables.toml: what procedures read, words and units of conditions, quantities, words of loggers
+TABLES: Mapping[str, Any] = toml.read(
+    Path("tables.toml"), files(__package__).joinpath("tables.toml").read_bytes()
+).data
+CONDITIONS: Mapping[str, Sequence[str]] = TABLES["conditions"]
+CHOICES: Mapping[str, Sequence[str]] = TABLES["choices"]
 
 
 def read(path: Path | str) -> Recording:
@@ -78,11 +63,6 @@ def read_folder(folder: Path | str) -> list[Recording]:
     return [read(path) for path in experiments]
 
 
-# Usual magnitudes of hydraulic machines; a recording is far from them if its unit is wrong.
-USUAL: Mapping[str, tuple[float, float]] = {
-    **{"Pa": (1e5, 1e7), "m3/s": (1e-4, 1e-3), "m": (0.1, 1.0), "m/s": (0.1, 1.0), "V": (1.0, 10.0)},
-    **{"rad": (0.1, 1.0), "rad/s": (0.1, 10.0), "N": (1e3, 1e5), "kg": (10.0, 1e3)},
-}
 BOOM, STICK, LEVER = "manipulator.boom_angle", "manipulator.stick_angle", "boom_stick.stick_command"
 SPARSE = 20  # rows between samples of these, in which angles change by more than their noise
 AT_REST = 0.02  # of its largest value: a lever
@@ -100,7 +80,8 @@ def doubtful(recordings: Iterable[Recording]) -> list[str]:
         for name in (n for n in r.signals if not r.faults.get(n) and r.procedure != REST):
             unit = r.units[name]
             factor, offset = factor_and_offset(unit, r.file_units.get(name, unit), name)
-            usual = [factor * size + offset for size in USUAL.get(unit, ())]  # in the unit of the file
+            sizes = TABLES["quantities"].get(unit, {}).get("usual", ())
+            usual = [factor * size + offset for size in sizes]  # in the unit of the file
             rows.append((f"{r.source}: {name}", *r.peak(name), usual))
         told += [*doubts(rows), *r.log_faults()]
         if (end := float(r.time[-1] - r.time[0])) >= LONGEST:
@@ -155,18 +136,13 @@ def take(recording: Recording, samples: slice | Mask | NDArray[np.int64]) -> Rec
     return replace(recording, time=recording.time[samples], signals=signals)
 
 
-def window(recording: Recording, start: float = -np.inf, stop: float = np.inf) -> Recording:
-    """The samples with start <= time < stop [s]; the time window of a description includes its end."""
-    part = take(recording, (recording.time >= start) & (recording.time < stop))
-    if not len(part.time):
-        got = f"{recording.time[0]:g} s to {recording.time[-1]:g} s"
-        raise Problem(f"{recording.source}: expected samples from {start:g} s to {stop:g} s, got {got}")
-    return part
-
-
 def split(recording: Recording, at: float) -> tuple[Recording, Recording]:
     """The recording before and from the time `at` [s], such as one part to fit and one to hold out."""
-    return window(recording, stop=at), window(recording, start=at)
+    before = recording.time < at
+    if before.all() or not before.any():
+        got = f"{recording.time[0]:g} s to {recording.time[-1]:g} s"
+        raise Problem(f"{recording.source}: expected samples before and from {at:g} s, got {got}")
+    return take(recording, before), take(recording, ~before)
 
 
 def add(recording: Recording, name: str, values: Array, unit: str, sensor: Sensor | None = None) -> Recording:

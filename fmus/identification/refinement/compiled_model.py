@@ -50,37 +50,13 @@ COMPILER_FLAGS = (
     "-fPIC",
     "-shared",
     "-fvisibility=hidden",
-    # the model must give the floating-point results of the FMU; sens.c itself allows contraction
+    # the model must give the floating-point results of the FMU; sens.h allows contraction after it
     "-ffp-contract=off",
     "-fno-math-errno",
     "-fno-trapping-math",
     "-mcpu=native",  # widest vector registers; the build cache is keyed by processor
 )
 C_FILES = ("model.c", "inputs.c", "rosenbrock.c", "runge_kutta.c", "solver.c", "sens.c", "sensitivities.c")
-SENS_H = """/* Lengths. Generated. */
-
-#ifndef SENS_H
-#define SENS_H
-
-#include "model.h"
-
-enum {{
-{lengths}
-}};
-
-typedef double Columns __attribute__((ext_vector_type(WIDTH)));
-
-#endif
-"""
-SENS_C_HEAD = """/* Derivatives. Generated. */
-
-#include <math.h>
-
-#include "sens.h"
-
-#pragma clang fp contract(fast)
-"""
-
 Entries = Mapping[Entry, ca.SX]  # structural nonzeros of a matrix
 _POINTER = ctypes.POINTER(ctypes.c_double)
 _REQUIREMENT = 5
@@ -280,17 +256,17 @@ def kept_sources(model: ReducedModel) -> dict[str, str]:
 
 
 def sources(model: ReducedModel) -> dict[str, str]:
-    """Generated files by name: sizes.h and model.c as in an FMU, sens.h and sens.c."""
+    """Generated files by name: sizes.h and model.c as in an FMU, sens_lengths.h and sens.c."""
     routines, lengths, patterns = sensitivity_code(model)
     names = {"x": list(model.states), "u": list(model.inputs), "p": list(model.parameters)}
     tables = []
     for name, pattern in patterns.items():
         rows = [f"    {{{i}, {j}}}," for i, j in pattern] or ["    {0, 0},"]
         tables += [f"static const int {name}[][2] = {{ /* row and column */", *rows, "};", ""]
-    listed = [f"    {name} = {n}," for name, n in {**lengths, "WIDTH": WIDTH}.items()]
+    listed = ", ".join(f"{name} = {n}" for name, n in {**lengths, "WIDTH": WIDTH}.items())
     return generated(_interface(model), "") | {
-        "sens.h": SENS_H.format(lengths="\n".join(listed)),
-        "sens.c": "\n".join([SENS_C_HEAD, *tables, *(c_function(r, names) for r in routines)]),
+        "sens_lengths.h": f"enum {{ {listed} }};\n",
+        "sens.c": "\n".join(['#include "sens.h"', *tables, *(c_function(r, names) for r in routines)]),
     }
 
 
@@ -315,8 +291,9 @@ def _interface(model: ReducedModel) -> Interface:
 def library(generated_files: Mapping[str, str]) -> ctypes.CDLL:
     """The shared library of a model from generated and hand-written files."""
     code = {name: text for name, text in native_sources(2).items() if name in C_FILES or name.endswith(".h")}
-    native = files("fmus.identification.refinement") / "native" / "sensitivities.c"
-    code |= {"sensitivities.c": native.read_text(encoding="utf-8"), **generated_files}
+    native = files("fmus.identification.refinement") / "native"
+    code |= {name: (native / name).read_text(encoding="utf-8") for name in ("sens.h", "sensitivities.c")}
+    code |= generated_files
     code["all.c"] = "".join(f'#include "{name}"\n' for name in C_FILES)
     encoded = {name: text.encode() for name, text in code.items()}
     arguments = [*COMPILER_FLAGS, "all.c", "-lm"]

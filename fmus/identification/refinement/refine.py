@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmus.identification.refinement.compiled_model import CompiledModel, delayed_inputs
+from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun
 from fmus.identification.refinement.shooting import (
     CONVERGED,
@@ -124,10 +124,8 @@ class RefinementResult:
         of the parameters, the errors of a measured initial state, noise of sensors, and error of the model.
         """
         p, outputs = self.problem.values_of(self.z), self.problem.outputs
-        inputs = run.input_matrix(self.simulator.inputs)
-        state, state_p = run.initial_state(self.simulator, p, inputs)
-        inputs = delayed_inputs(self.simulator, p, run.time, inputs)
-        solution = self.simulator.segment(state, p, run.time, inputs)
+        state, state_p = run.initial_state(self.simulator, p)
+        solution = self.simulator.segment(state, p, run.time, run.delayed(self.simulator, p))
         by_z: Array = (solution.y_p + solution.y_x @ state_p) * self.problem.derivatives(self.z)
         noise = np.array([1 / max(w.max(), np.finfo(float).tiny) if w.any() else 0.0 for w in run.weight.T])
         start = [
@@ -174,14 +172,12 @@ def cut_into_segments(
     """The recordings of a problem in segments; priors of the initial states are those at z."""
     if not problem.training:
         raise Problem(f"{problem.sub.name}: expected at least one recording to fit, got none")
-    inputs = tuple(run.input_matrix(simulator.inputs) for run in problem.training)
-    edges = tuple(cut(run.time, segment) for run in problem.training)
-    p = problem.values_of(z)
-    states = [
-        run.initial_state(simulator, p, u, corrected=False)[0] / simulator.nominal
-        for run, u in zip(problem.training, inputs, strict=True)
-    ]
-    return Shooting(problem, simulator, inputs, tuple(states), edges)
+    if not any(run.compared.any() for run in problem.training):
+        names = ", ".join(run.name for run in problem.training)
+        raise Problem(f"{names}: expected outputs with usable samples, got only missing or faulty ones")
+    edges, p = tuple(cut(run.time, segment) for run in problem.training), problem.values_of(z)
+    states = (run.initial_state(simulator, p, corrected=False)[0] for run in problem.training)
+    return Shooting(problem, simulator, tuple(state / simulator.nominal for state in states), edges)
 
 
 def fit_predictions(
@@ -231,29 +227,24 @@ def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> CompiledMod
 
 def advice(refined: RefinementResult) -> tuple[str, ...]:
     """Sentences on how the search ended and on the validity of the intervals; empty if all is well."""
-    sentences, segments = [], refined.statistics.segments
-    outcome = f"The search did not converge: {refined.reason}"
-    if refined.reason == INTERRUPTED:
-        sentences.append(f"{outcome}. Values and intervals are those of the best point so far.")
-    elif refined.reason == STUCK:
-        sentences.append(
-            f"{outcome}, because a parameter has hardly any effect or the model switches there, such as dry "
-            "friction or a stop. The values are the best so far. Fix the parameters that the data do not "
-            "determine (--free names the others), or begin from other values."
-        )
-    elif not refined.converged:
-        sentences.append(
-            f"{outcome} were not enough. The values are the best so far, the intervals are too narrow. "
-            "Look for a signal with a wrong sign or unit, and free fewer parameters (--free)."
-        )
-    if refined.robust and segments == 1:
-        sentences.append(
-            "There is a single segment, from which the effect of correlated residuals cannot be estimated: "
-            "the intervals are a guess, and wide. Longer recordings help."
-        )
-    elif refined.robust and segments < FEW:
-        sentences.append(
-            f"The intervals come from the scatter between {segments} segments, fewer than {FEW}: "
-            "they are wide and inaccurate. Longer recordings help."
-        )
-    return tuple(sentences)
+    segments, outcome = refined.statistics.segments, f"The search did not converge: {refined.reason}"
+    ends = {
+        CONVERGED: "",
+        INTERRUPTED: f"{outcome}. Values and intervals are those of the best point so far.",
+        STUCK: f"{outcome}, because a parameter has hardly any effect or the model switches there, such as "
+        "dry friction or a stop. The values are the best so far. Fix the parameters that the data do not "
+        "determine (--free names the others), or begin from other values.",
+    }
+    too_few = (
+        f"{outcome} were not enough. The values are the best so far, the intervals are too narrow. "
+        "Look for a signal with a wrong sign or unit, and free fewer parameters (--free)."
+    )
+    short = (
+        "There is a single segment, from which the effect of correlated residuals cannot be estimated: "
+        "the intervals are a guess, and wide. Longer recordings help."
+        if segments == 1
+        else f"The intervals come from the scatter between {segments} segments, fewer than {FEW}: "
+        "they are wide and inaccurate. Longer recordings help."
+    )
+    sentences = (ends.get(refined.reason, too_few), short if refined.robust and segments < FEW else "")
+    return tuple(filter(None, sentences))

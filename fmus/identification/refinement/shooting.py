@@ -26,6 +26,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -33,9 +34,10 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from fmus.identification.recordings.masks import autocorrelation_time
-from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, delayed_inputs
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
 from fmus.identification.refinement.problem import EstimationProblem
 from orchestrator.base.errors import Problem
+from orchestrator.base.signals import rms
 from orchestrator.data.table import Array
 
 Task = TypeVar("Task")
@@ -199,20 +201,22 @@ class Evaluation:
         """The segments of all runs, in the order of time."""
         return [segment for run in self.runs for segment in run]
 
-    @property
-    def rms(self) -> float:
-        """Root mean square of the residuals, 1 if the sensors explain them."""
-        residual = np.concatenate([s.residual for s in self.segments])
-        return float((residual @ residual / max(1, residual.size)) ** 0.5)
+    @cached_property
+    def residual(self) -> Array:
+        """The residuals of all segments, shape (m,)."""
+        return np.concatenate([s.residual for s in self.segments])
+
+    @cached_property
+    def column(self) -> NDArray[np.int64]:
+        """Index of the output of each residual, shape (m,)."""
+        return np.concatenate([s.column for s in self.segments])
 
     def scales(self, outputs: int, correlated: bool) -> Scales:
         """Scales estimated from the residuals of each output.
 
         correlated   weight them by their correlation time, so that slow ones do not outweigh fast ones
         """
-        residuals = [
-            np.concatenate([s.residual[s.column == k] for s in self.segments]) for k in range(outputs)
-        ]
+        residuals = [self.residual[self.column == k] for k in range(outputs)]
         error = [np.sqrt(max(0.0, float(np.mean(r**2)) - 1)) if r.size else 0.0 for r in residuals]
         times = [correlation_time(r) if correlated else 1.0 for r in residuals]
         return Scales(np.array(error), np.array(times))
@@ -222,7 +226,6 @@ class Evaluation:
 class Shooting:
     """A problem cut into segments.
 
-    inputs         per run, shape (n, nu)
     prior_states   per run the mean of the prior of its initial state, in nominal values
     edges          per run the indices of the samples at which segments begin, and of the last sample
     detached       segments begin at measured states and need not be continuous: prediction over their length
@@ -230,18 +233,16 @@ class Shooting:
 
     problem: EstimationProblem
     simulator: CompiledModel
-    inputs: tuple[Array, ...]
     prior_states: tuple[Array, ...]
     edges: tuple[tuple[int, ...], ...]
     detached: bool = False
 
     def measured_starts(self, z: Array) -> tuple[Array, ...]:
         """Measured initial states; states that are not measured are simulated."""
-        p, nominal = self.problem.values_of(z), self.simulator.nominal
+        p, runs = self.problem.values_of(z), self.problem.training
 
         def states(k: int) -> Array:
-            run = self.problem.training[k]
-            return run.segment_states(self.simulator, p, self.inputs[k], self.edges[k]) / nominal
+            return runs[k].segment_states(self.simulator, p, self.edges[k]) / self.simulator.nominal
 
         return tuple(parallel(states, range(len(self.edges))))
 
@@ -257,10 +258,7 @@ class Shooting:
         """Simulate all segments; raises SimulationFailed."""
         p, p_z = self.problem.values_of(z), self.problem.derivatives(z)
         nominal = self.simulator.nominal
-        inputs_of = [
-            delayed_inputs(self.simulator, p, run.time, inputs)
-            for run, inputs in zip(self.problem.training, self.inputs, strict=True)
-        ]
+        inputs_of = [run.delayed(self.simulator, p) for run in self.problem.training]
 
         def segment(task: tuple[int, int]) -> Segment:
             k, i = task
@@ -409,7 +407,9 @@ def minimise(
             current = linear.at
             best = linear.merit(linear.step(LARGEST_RADIUS, problem.bounds()))
             remaining = math.sqrt(max(0.0, linear.merit() - best))
-            history.append(Iteration(len(history), current.rms, remaining, problem.by_name(current.z)))
+            history.append(
+                Iteration(len(history), rms(current.residual), remaining, problem.by_name(current.z))
+            )
             if progress:
                 progress(history[-1])
             scales = current.scales(outputs, correlated=not far)

@@ -21,7 +21,7 @@ from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
 from fmus.identification.recordings.masks import autocorrelation_time, noise
-from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, delayed_inputs
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
 from fmus.identification.refinement.shooting import LARGEST_RADIUS, CondensedRun, Minimum, Shooting, linearise
 from orchestrator.base.signals import rms
@@ -80,9 +80,9 @@ def statistics(solution: Minimum, prior_sd: Array, by_inputs: Array) -> Statisti
     by_inputs   covariance that the noise of the inputs causes
     """
     linear, parameters = solution.linear, len(prior_sd)
-    segments, scales = linear.at.segments, linear.scales
-    weighted = np.concatenate([s.residual / scales.sd[s.column] for s in segments])
-    samples = sum(float(np.sum(1 / scales.correlation_time[s.column])) for s in segments)
+    at, scales = linear.at, linear.scales
+    weighted = at.residual / scales.sd[at.column]
+    samples = float(np.sum(1 / scales.correlation_time[at.column]))
     initial_states = sum(len(run.top) for run in linear.runs)
     degrees_of_freedom = max(1, round(samples) - parameters - initial_states)
     variance = float(weighted @ weighted) / degrees_of_freedom
@@ -90,15 +90,14 @@ def statistics(solution: Minimum, prior_sd: Array, by_inputs: Array) -> Statisti
     prior = np.diag(1 / prior_sd**2 + 1 / VAGUE**2)
     information = jacobian.T @ jacobian
     lengths = np.linalg.norm(jacobian, axis=0)
-    singular = np.linalg.svd(jacobian / np.where(lengths > 0, lengths, 1.0), compute_uv=False)
-    smallest = float(singular[-1]) if len(jacobian) >= parameters else 0.0
+    condition = float(np.linalg.cond(jacobian / np.where(lengths > 0, lengths, 1.0)))
     return Statistics(
         covariance=_inverse(information / variance + prior) + by_inputs,
         robust_covariance=_jackknife(linear.runs, prior, _inverse(information + prior)) + by_inputs,
         data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + by_inputs,
         degrees_of_freedom=degrees_of_freedom,
-        segments=len(segments),
-        condition=float(singular[0]) / smallest if smallest > 0 else float("inf"),
+        segments=len(at.segments),
+        condition=condition if len(jacobian) >= parameters else math.inf,
     )
 
 
@@ -142,19 +141,24 @@ def _jackknife(runs: Sequence[CondensedRun], prior: Array, inverse: Array) -> Ar
 
 def input_covariance(shooting: Shooting, solution: Minimum) -> Array:
     """Covariance of z that the noise of the inputs causes, shape (np, np): that which smoothing leaves."""
-    parameters, names = len(solution.z), shooting.simulator.inputs
-    if not any(run.input_noise for run in shooting.problem.training):
+    parameters, problem, names = len(solution.z), shooting.problem, shooting.simulator.inputs
+    if not any(run.input_noise for run in problem.training):
         return np.zeros((parameters, parameters))
     rng, changes = np.random.default_rng(0), []
     optimum, reference = solution.linear.at, solution.linear.step(LARGEST_RADIUS)
+
+    def noisy(run: MeasuredRun) -> MeasuredRun:
+        noise = {n: run.input_noise[n] for n in names if n in run.input_noise}
+        drawn = {
+            n: run.inputs[n] + local_parabolas(sd * rng.standard_normal(len(run.time)), window)
+            for n, (sd, window) in noise.items()
+        }
+        return replace(run, inputs={**run.inputs, **drawn})
+
     for _ in range(DRAWS):
-        inputs = tuple(u.copy() for u in shooting.inputs)
-        for run, u in zip(shooting.problem.training, inputs, strict=True):
-            for j in (j for j, name in enumerate(names) if name in run.input_noise):
-                sd, window = run.input_noise[names[j]]
-                u[:, j] += local_parabolas(sd * rng.standard_normal(len(run.time)), window)
+        drawn = replace(problem, training=tuple(map(noisy, problem.training)))
         try:
-            new = replace(shooting, inputs=inputs).evaluate(optimum.z, optimum.starts, False)
+            new = replace(shooting, problem=drawn).evaluate(optimum.z, optimum.starts, False)
         except SimulationFailed:
             continue
         changed = linearise(shooting, optimum, new, solution.linear.scales)
@@ -232,11 +236,9 @@ def simulate(
     run: MeasuredRun, simulator: CompiledModel, p: Array, start: Array | None = None
 ) -> SimulatedRun:
     """Simulate a run; the initial state is by default that of the first samples. NaN if it fails."""
-    inputs = run.input_matrix(simulator.inputs)
-    state = run.initial_state(simulator, p, inputs)[0] if start is None else start
+    state = run.initial_state(simulator, p)[0] if start is None else start
     try:
-        inputs = delayed_inputs(simulator, p, run.time, inputs)
-        return SimulatedRun(run, simulator.segment(state, p, run.time, inputs, False).y)
+        return SimulatedRun(run, simulator.segment(state, p, run.time, run.delayed(simulator, p), False).y)
     except SimulationFailed:
         return SimulatedRun(run, np.full(run.measured.shape, np.nan))
 

@@ -22,14 +22,9 @@ import numpy as np
 import statsmodels.api as sm
 from scipy.optimize import nnls
 
-from fmus.identification.report.prediction import (
-    Excitation,
-    RecordingComparison,
-    Signals,
-    excitation,
-    predict,
-)
-from fmus.identification.report.report_texts import percent
+from fmus.identification.recordings.clock import period
+from fmus.identification.report import prediction
+from fmus.identification.report.prediction import Excitation, Signals, excitation, predict
 from fmus.identification.results import CONFIDENCE
 from orchestrator.base.processes import mapping
 from orchestrator.base.signals import rms
@@ -50,6 +45,11 @@ MEMORY = 0.5  # s, lag up to which samples of a residual are assumed to be corre
 LEAST = 0.2  # share above which an effect is reported
 CLOSE = 0.8  # fraction of the largest share above which an effect cannot be distinguished from the largest
 SMALL = 1e-3  # rms residual over the range of a signal below which it needs no explanation
+
+
+def percent(ratio: float) -> str:
+    """A ratio in whole percent; infinite for a simulation that failed."""
+    return f"{100 * ratio:.0f} %" if math.isfinite(ratio) else "(could not be simulated)"
 
 
 def candidate_effects(excitation: Excitation) -> dict[str, Mapping[str, str]]:
@@ -76,7 +76,7 @@ def effect_changes(
 
 
 def attribute(
-    comparison: RecordingComparison, parameters: Mapping[str, float], processes: int = 1
+    comparison: prediction.RecordingComparison, parameters: Mapping[str, float], processes: int = 1
 ) -> Explanation:
     """Which effect the residual shows, apart from errors of the identified parameters.
 
@@ -85,12 +85,12 @@ def attribute(
     """
     recording, residual = comparison.recording, comparison.residual()
     noise = {name: recording.sensor(name).sd for name in residual}
-    measured = {n: y for n in residual if np.isfinite(y := comparison.measured[n]).any()}
-    small = {name: SMALL * float(np.nanmax(y) - np.nanmin(y)) for name, y in measured.items()}
+    measured = {n: y[np.isfinite(y)] for n, y in comparison.measured.items() if n in residual}
+    small = {name: SMALL * float(np.ptp(y)) for name, y in measured.items() if y.size}
     effects: Mapping[str, Signals] = {}
     if unexplained(residual, noise, small):  # else the simulations, most of the time, would tell nothing
         effects = effect_changes(excitation(recording), parameters, processes)
-    step = float(np.median(np.diff(recording.time)))
+    step = period(recording.time)
     return explain(residual, effects, step=step, noise=noise, small=small, absorbed=comparison.sensitivities)
 
 

@@ -1,23 +1,22 @@
 """Figures of procedures and of a predicted recording, as in the paper's Figs. 5 to 11.
 
 Curves can be distinguished without colour: measured values are marks or a broad line, a fit is a thin dark
-line, and masked values are hollow marks. Successive panels over the same quantity are one figure. A residual
-is the strip below its panel.
-
-Of a predicted recording, the measurement is a solid line, the prediction a dotted one, and the strip below
-each panel shows the residual.
+line, a prediction a dotted one, and masked values are hollow marks. Successive panels over the same quantity
+are one figure. A residual is the strip below its panel.
 """
 
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from itertools import groupby
 from typing import Any
 
-from fmus.identification.report.prediction import RecordingComparison
-from fmus.identification.report.report_texts import footer, percentage
+from fmus.identification.report.prediction import WINDOW, RecordingComparison
 from fmus.identification.results import Curve, Panel, ProcedureResult
-from orchestrator.base.text import display_unit, name_with_unit, typeset
+from orchestrator.base import text
+from orchestrator.base.text import display_unit, name_with_unit, sentences, typeset
+from orchestrator.data.recording import Recording
 from orchestrator.pages.figures import (
     PALETTE,
     REFERENCE,
@@ -27,6 +26,27 @@ from orchestrator.pages.figures import (
     TraceLine,
     TracePanel,
 )
+
+SIMULATED = "simulated data (virtual test rig), not FERIC data"
+KINDS = {"simulation": SIMULATED, "published": "published data", "measurement": "measured data"}
+
+
+def origin(kinds: Iterable[str]) -> str:
+    """Origin of the data: a description of each kind of recording."""
+    return "; ".join(dict.fromkeys(KINDS.get(kind, kind) for kind in kinds))
+
+
+def footer(number: int, kinds: Iterable[str]) -> str:
+    """The origin of a figure's data, and the figure of the paper that it corresponds to, 0 for none."""
+    return " · ".join(filter(None, (origin(kinds), f"cf. Fig. {number} of the paper" if number else "")))
+
+
+def percentage(value: float | None, digits: int = 2) -> str:
+    """A ratio as percentage; rounding errors are zero."""
+    if value is not None and abs(value) < 1e-9:
+        return "0 %"
+    return typeset(text.percentage(value, digits, zeros=True))
+
 
 # ---- procedures
 
@@ -41,7 +61,12 @@ def procedure_figures(result: ProcedureResult, kinds: Iterable[str] = ()) -> lis
     """
     below = footer(result.figure, kinds)
     return [
-        TraceFigure(_panels(group), title=result.title, below=below, axis=_label(x_label, unit[0]))
+        TraceFigure(
+            _panels(group),
+            title=result.title,
+            below=below,
+            axis=name_with_unit(*_name_and_unit(x_label, unit[0])),
+        )
         for (x_label, unit), group in groupby(result.panels, key=lambda p: (p.x_label, p.x_unit))
     ]
 
@@ -50,27 +75,19 @@ def _panels(group: Iterable[Panel]) -> list[TracePanel]:
     """Panels over one quantity; a residual is the strip of the one before."""
     drawn = list[TracePanel]()
     for panel in group:
-        name, unit = split_label(panel.y_label)
-        unit = unit or panel.y_unit[0]
+        (name, unit), lines = _name_and_unit(panel.y_label, panel.y_unit[0]), _lines(panel)
         if "residual" in f"{panel.title} {panel.y_label}".lower() and drawn and not drawn[-1].errors:
-            below = {"errors": _lines(panel), "error_label": name, "error_unit": unit}
-            drawn[-1] = TracePanel(**{**vars(drawn[-1]), **below})
+            drawn[-1] = replace(drawn[-1], errors=lines, error_label=name, error_unit=unit)
         else:
             label = ": ".join(filter(None, (panel.title, name)))
-            drawn.append(TracePanel(unit, _lines(panel), label, log=panel.log, heights=(4.5, 2.0)))
+            drawn.append(TracePanel(unit, lines, label, log=panel.log, heights=(4.5, 2.0)))
     return drawn
 
 
-def split_label(text: str) -> tuple[str, str]:
-    """The name and the unit of a label such as "command [V]"."""
-    match = re.fullmatch(r"(.+) \[(.+)\]", text)
-    return (match[1], match[2]) if match else (text, "")
-
-
-def _label(text: str, unit: str) -> str:
-    """A label of an axis with its unit, typeset."""
-    name, inside = split_label(text)
-    return name_with_unit(name, inside or unit)
+def _name_and_unit(label: str, unit: str) -> tuple[str, str]:
+    """The name of an axis, and the unit in a label such as "command [V]", else `unit`."""
+    match = re.fullmatch(r"(.+) \[(.+)\]", label)
+    return (match[1], match[2]) if match else (label, unit)
 
 
 def _lines(panel: Panel) -> list[TraceLine]:
@@ -106,6 +123,7 @@ def _style(curve: Curve, index: int, *, several: bool) -> dict[str, Any]:
 # ---- a predicted recording
 
 JOINT_FIGURES = {"swing": 10, "stick": 11, "boom": 0}  # number in the paper, which has none of the boom
+KEY = ("measured", REFERENCE), ("predicted", SIMULATION)
 CYLINDER = ("boom_stick", "flow into head", "head_flow", {"head_pressure": "head", "rod_pressure": "rod"})
 # joint -> label of a panel -> signals and labels of its curves, as in the paper's Figs. 10 and 11
 SIGNALS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
@@ -137,15 +155,24 @@ def joint_figure(comparison: RecordingComparison, joint: str) -> TraceFigure:
         (float(time[0]), float(time[-1])),
         f"{joint.capitalize()}: {recording.title}",
         footer(JOINT_FIGURES[joint], [recording.kind]),
-        (("measured", REFERENCE), ("predicted", SIMULATION)),
+        KEY,
     )
 
 
 def signal_figure(comparison: RecordingComparison, name: str) -> TraceFigure:
     """One signal with its prediction and residual."""
     panel = _trace_panel(name, {name: ""}, comparison)
-    below = footer(0, [comparison.recording.kind])
-    return TraceFigure([panel], below=below, key=(("measured", REFERENCE), ("predicted", SIMULATION)))
+    return TraceFigure([panel], below=footer(0, [comparison.recording.kind]), key=KEY)
+
+
+def joint_caption(recording: Recording, joint: str) -> str:
+    """What the figure of a joint shows."""
+    use = "not used for fitting" if recording.use == "test" else "used for fitting"
+    return sentences(
+        f"Measured and predicted signals of the {joint} over {recording.title}, {use}",
+        f"Speeds: both angles differentiated by one filter, {1000 * WINDOW:.0f} ms wide",
+        "Flows in the dead zone of the meter are left out",
+    )
 
 
 def _trace_panel(label: str, curves: Mapping[str, str], comparison: RecordingComparison) -> TracePanel:

@@ -133,10 +133,10 @@ class RecordingComparison:
     def held(self) -> dict[str, float]:
         """Share of the good samples of each signal in its band."""
         shares = {}
-        for name in self.sd:
-            (low, high), y = self.band(name), self.measured.get(name, np.zeros(0))
-            if np.isfinite(y).any():
-                shares[name] = float(np.mean(((y >= low) & (y <= high))[np.isfinite(y)]))
+        for name in (n for n in self.sd if n in self.measured):
+            (low, high), y = self.band(name), self.measured[name]
+            if (good := np.isfinite(y)).any():
+                shares[name] = float(np.mean(((low <= y) & (y <= high))[good]))
         return shares
 
     def residual(self) -> dict[str, Array]:
@@ -158,13 +158,10 @@ def worst(errors: Mapping[str, float]) -> dict[str, tuple[str, float]]:
 
 def nrmse(measured: Array, predicted: Array) -> float | None:
     """Root mean square residual over the range of the measurement, without gaps; None if it is constant."""
-    residual = predicted - measured
-    told = np.isfinite(residual)
-    valid = measured[told]
-    if not valid.size:
-        return None
-    span = float(np.ptp(valid))
-    return rms(residual[told]) / span if span > CONSTANT * (1 + float(np.abs(valid).max())) else None
+    known = np.isfinite(predicted - measured)
+    valid = measured[known]
+    span, largest = (float(np.ptp(valid)), float(np.abs(valid).max())) if valid.size else (0.0, 0.0)
+    return rms((predicted - measured)[known]) / span if span > CONSTANT * (1 + largest) else None
 
 
 def compare(recording: Recording, predicted: Signals) -> RecordingComparison:
@@ -197,10 +194,9 @@ def prediction(identified: Identified) -> RecordingComparison | None:
     if refined is None:
         return compare(selected, predicted)
     simulated = (refined.held_out if selected.use == "test" else refined.training)[0]
-    names = refined.problem.signals
 
     def by_name(samples: Array) -> dict[str, Array]:
-        return dict(zip(names, samples.T, strict=True))
+        return dict(zip(refined.problem.signals, samples.T, strict=True))
 
     if np.isfinite(simulated.y).all():  # with all corners of the inputs; its readings contain the zeros
         predicted = {**predicted, **by_name(simulated.y)}
@@ -258,19 +254,15 @@ def extrapolations(
         margin = 4 * sensor.sd + sensor.resolution + MARGIN * float(np.nanmax(np.abs(known)))
         for sign in (1.0, -1.0):
             values, trained = (s[s > margin] for s in (sign * recording[name], sign * known))
-            if not values.size:
-                continue
             low, high = (float(trained.min()), float(trained.max())) if trained.size else (0.0, 0.0)
             below = values[values < low - margin]
-            if values.max() > high + margin:
-                reached = float(values.max())
-            elif below.size > BRIEF * values.size:
-                reached = float(below.min())
-            else:
-                continue
-            ends = sorted((sign * low, sign * high))
-            unit = recording.units.get(name, "1")
-            yield Extrapolation(recording.source.name, name, unit, (ends[0], ends[1]), sign * reached)
+            reached = values.max() if values.size and values.max() > high + margin else 0.0
+            if not reached and below.size > BRIEF * values.size:
+                reached = below.min()
+            if reached:
+                ends, unit = sorted((sign * low, sign * high)), recording.units.get(name, "1")
+                outside = sign * float(reached)
+                yield Extrapolation(recording.source.name, name, unit, (ends[0], ends[1]), outside)
 
 
 def extrapolated(identified: Identified) -> list[Extrapolation]:

@@ -35,6 +35,13 @@ def log(tmp_path):
     return tmp_path / "a.csv"
 
 
+def described(folder, columns, **options):
+    """What is shown of a log with these columns, and the TOML file that is written."""
+    pd.DataFrame(columns).to_csv(folder / "a.csv", index=False)
+    shown = describe(folder / "a.csv", **options)
+    return shown, (folder / "a.toml").read_text(encoding="utf-8")
+
+
 def filled_in(file, **units):
     """As a user does it: the lines of all signals without a mark, units in place of "?"."""
     text = re.sub('^# (?=")|.*"NAME".*', "", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
@@ -80,8 +87,7 @@ def test_a_column_that_can_be_one_signal_only_is_no_comment(tmp_path):
     columns = {"Zeit [s]": K / 50, "Hub Soll [V]": K % 7}
     columns |= {"Winkel Ausleger (deg)": K % 5, "P Tank [bar]": K % 3}
     unsure = {"Hebel Schwenk": K % 4, "P Kolben [bar]": K % 11, "Druck Tank 2 [bar]": K % 9}
-    pd.DataFrame(columns | unsure).to_csv(tmp_path / "a.csv", index=False)
-    describe(tmp_path / "a.csv")
+    described(tmp_path, columns | unsure)
     expected = ["boom_stick.boom_command", "manipulator.boom_angle", "swing.tank_pressure"]
     assert [*read_recording(tmp_path / "a.csv")] == expected
 
@@ -100,9 +106,8 @@ def test_the_trace_of_a_run_is_described_as_it_is(suffix, fmus, tmp_path):
 
 def test_a_column_with_the_name_of_a_signal_is_described_at_once(tmp_path):
     """In any letter case, with or without the part, if the unit of the file is one of the signal."""
-    data = {"time": K / 50, "BOOM_COMMAND": K % 7, "swing.supply_pressure": K % 5}
-    pd.DataFrame(data).to_csv(tmp_path / "a.csv", index=False)
-    describe(tmp_path / "a.csv")  # without units it cannot know
+    # without units it cannot know
+    described(tmp_path, {"time": K / 50, "BOOM_COMMAND": K % 7, "swing.supply_pressure": K % 5})
     problem(lambda: read_recording(tmp_path / "a.csv"), "expected at least one table")
     fields = {"time": "s", "BOOM_COMMAND": "V", "swing.supply_pressure": "bar", "boom_angle": "Pa"}
     table = pa.table({name: K / 50 for name in fields})
@@ -125,9 +130,8 @@ def test_the_unit_of_time_is_that_of_a_logger(step, unit, rows, tmp_path):
     A log in steps of a few that would last less than half a second in ms is in seconds.
     """
     k = np.arange(rows)
-    pd.DataFrame({"n": k, "U": np.sin(k), "Zeit": step * k}).to_csv(tmp_path / "a.csv", index=False)
-    describe(tmp_path / "a.csv")
-    assert f'column = "Zeit"\nunit = "{unit}"' in (tmp_path / "a.toml").read_text(encoding="utf-8")
+    text = described(tmp_path, {"n": k, "U": np.sin(k), "Zeit": step * k})[1]
+    assert f'column = "Zeit"\nunit = "{unit}"' in text
 
 
 def test_faults_are_named(tmp_path):
@@ -136,8 +140,7 @@ def test_faults_are_named(tmp_path):
     pressure = np.round(np.minimum(100 + 8 * np.sin(K / 40) + rng.normal(0, 0.1, K.size), 105), 2)
     flow = np.where((K > 100) & (K < 141), np.nan, 30 + np.sin(K / 9))
     data = {"t": K / 200, "p_bar": pressure, "Q [L/min]": flow, "off": 7, "mode": "auto"}
-    pd.DataFrame(data).to_csv(tmp_path / "a.csv", index=False)
-    shown = describe(tmp_path / "a.csv")
+    shown, _ = described(tmp_path, data)
     assert re.search(r"\np_bar: 9\S+ to 105 bar; clipped \d+ %", shown)
     assert re.search(r"\nQ \[L/min\]: \S+ to \S+ L/min; gaps 10 %", shown)
     assert re.search(r"\noff: 7 to 7 \?; constant", shown)
@@ -147,11 +150,10 @@ def test_faults_are_named(tmp_path):
 
 def test_a_bench_has_the_names_and_conditions_of_its_procedure(tmp_path):
     """Those that the procedure reads, here of a valve."""
-    pd.DataFrame({"t": K / 200, "U [V]": K % 9, "Q [L/min]": 3 * K}).to_csv(tmp_path / "b.csv", index=False)
-    describe(tmp_path / "b.csv", tmp_path / "valve.toml", procedure="valve")
-    text = (tmp_path / "valve.toml").read_text(encoding="utf-8")
+    _, text = described(tmp_path, {"t": K / 200, "U [V]": K % 9, "Q [L/min]": 3 * K}, procedure="valve")
     conditions = '# edge = "P-A"  # or "B-T", "P-B", "A-T"\n# density = { value = ?, unit = "kg/m3" }\n'
     assert f'[experiment]\nprocedure = "valve"\n{conditions}' in text
+    describe(tmp_path / "a.csv", tmp_path / "valve.toml", procedure="valve")
     filled_in(tmp_path / "valve.toml")
     assert [*read(tmp_path / "valve.toml")] == ["command", "flow"]
 
@@ -162,10 +164,8 @@ def test_the_keys_of_an_instrument_stand_behind_its_line(tmp_path):
     flow = 30 * np.sin(K / 40) + rng.normal(0, 0.3, K.size)
     flow = np.where(K % 2, np.nan, np.where(np.abs(flow) < 10, 0, np.round(flow, 4)))
     pressure = np.round((100 + 9 * np.sin(K / 30) + rng.normal(0, 0.1, K.size)) / 0.1) * 0.1
-    data = {"t": K / 200, "Q [L/min]": flow, "p [bar]": pressure}
-    pd.DataFrame(data).to_csv(tmp_path / "a.csv", index=False)
-    assert "Q [L/min]: reads 0 or at least 10" in describe(tmp_path / "a.csv")
-    text = (tmp_path / "a.toml").read_text(encoding="utf-8")
+    shown, text = described(tmp_path, {"t": K / 200, "Q [L/min]": flow, "p [bar]": pressure})
+    assert "Q [L/min]: reads 0 or at least 10" in shown
     q, p = (line for line in text.splitlines() if "as the samples show" in line)
     # least of 100 readings above 10 L/min, whose slope is 0.75 L/min
     assert float(re.search(r"dead_zone = ([\d.]+),", q)[1]) == pytest.approx(10, abs=1)
@@ -178,9 +178,7 @@ def test_the_keys_of_an_instrument_stand_behind_its_line(tmp_path):
 def test_limits_are_proposed_and_only_signals_that_validate_reads(tmp_path):
     """A whole block; the oil's temperature is one of recordings for an identification."""
     data = {"t": K / 200, "p_bar": K % 7, "boom_angle [deg]": K % 9, "Öltemperatur [°C]": 40 + K % 3}
-    pd.DataFrame(data).to_csv(tmp_path / "a.csv", index=False)
-    describe(tmp_path / "a.csv")
-    text = (tmp_path / "a.toml").read_text(encoding="utf-8")
+    _, text = described(tmp_path, data)
     assert "oil_temperature" not in text
     (tmp_path / "a.toml").write_text(re.sub("# (.tolerances|angle|pressure)", r"\1", text), encoding="utf-8")
     filled_in(tmp_path / "a.toml")
@@ -188,8 +186,7 @@ def test_limits_are_proposed_and_only_signals_that_validate_reads(tmp_path):
     limits = {name: read_back.criterion(name).tolerance.limit for name in read_back}
     assert set(limits.values()) == {0.1}
     assert len(limits) == 2
-    describe(tmp_path / "a.csv", procedure="machine", force=True)
-    assert "oil_temperature" in (tmp_path / "a.toml").read_text(encoding="utf-8")
+    assert "oil_temperature" in described(tmp_path, data, procedure="machine", force=True)[1]
 
 
 def test_the_format_of_an_existing_file_is_used(tmp_path):

@@ -13,7 +13,7 @@ from kit.mistakes import problem
 
 from fmus.identification.recordings.masks import averages, faults, good, good_all, standard_error, steady
 from fmus.identification.recordings.quality import examine
-from fmus.identification.recordings.reading import add, split, take, window
+from fmus.identification.recordings.reading import add, split, take
 from fmus.identification.refinement.problem import usable_samples
 from orchestrator.data.recording import Sensor
 
@@ -87,19 +87,19 @@ def test_standard_error_of_a_reading_that_does_not_leave_its_step():
 
 
 def test_parts_of_a_recording_keep_everything_else():
-    """Splitting keeps all samples and instruments; a window is half open; an added signal has its unit."""
+    """Splitting keeps all samples and instruments; an added signal has its unit."""
     sensor = Sensor(noise=1.0)
     made = recording(x=np.arange(100.0), sensors={"x": sensor})
     first, second = split(made, 0.2)
     assert (len(first.time), second.time[0], second["x"][0]) == (40, 0.2, 40.0)
     assert second.sensor("x") == sensor
     assert second.conditions == made.conditions
-    assert window(made, 0.1, 0.11)["x"].tolist() == [20.0, 21.0]
+    assert made.window(0.1, 0.11).sensor("x") == sensor
     assert take(made, made["x"] > 97)["x"].tolist() == [98.0, 99.0]
     more = add(made, "v", np.zeros(100), "m/s")
     assert (more.units["v"], more.sensor("v"), more.sensor("x")) == ("m/s", Sensor(), sensor)
     assert add(made, "x", np.zeros(100), "m").sensor("x") == Sensor()
-    problem(lambda: window(made, 3, 4), r"expected samples from 3 s to 4 s, got 0 s to 0\.495 s")
+    problem(lambda: split(made, 3), r"expected samples before and from 3 s, got 0 s to 0\.495 s")
     problem(lambda: add(made, "v", np.zeros(3), "m/s"), r"signal v: expected shape \(100,\), got \(3,\)")
 
 

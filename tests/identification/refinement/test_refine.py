@@ -10,7 +10,6 @@ from identification.refinement.oscillator import INVERTED, NOISE, TRUTH, problem
 from kit.mistakes import problem as problem_of
 
 from benchmarks.black_box import BlackBox
-from fmus.identification.recordings.reading import window
 from fmus.identification.refinement import shooting
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.shooting import Iteration, condense, triangular
@@ -137,8 +136,9 @@ def test_interrupt_keeps_the_best_so_far(horizon: float) -> None:
 
 
 def test_errors_of_the_user_are_messages_of_one_line() -> None:
-    """An unknown parameter, an output without noise, an initial value outside its bounds: one line each."""
+    """Such as an unknown parameter, no noise, no usable sample, a value outside its bounds: one line each."""
     one, bare = run(recording()), replace(recording(), sensors={})
+    dead = run(recording(dead_zone=1e3))
     for call, message in (
         (lambda: problem(one, priors={"friction": (1.0, None)}), "oscillator: friction is not a parameter"),
         (
@@ -147,13 +147,14 @@ def test_errors_of_the_user_are_messages_of_one_line() -> None:
         ),
         (lambda: run(bare), "position: expected a sensor with noise or resolution"),
         (lambda: refine(problem()), "expected at least one recording to fit"),
+        (lambda: refine(problem(dead)), "oscillator_0: expected outputs with usable samples, got only"),
     ):
         assert re.search(message, problem_of(call))
 
 
 def test_a_recording_may_begin_in_motion() -> None:
     """An initial speed that is not zero is not forced to zero, and the parameters stay right."""
-    moving = run(window(recording(), 2.5, 12.0))
+    moving = run(recording().window(2.5, 12.0))
     found = refine(problem(moving))
     assert (run(recording()).at_rest, moving.at_rest) == (("speed",), ())
     assert found.converged

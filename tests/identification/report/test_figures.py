@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from identification.report.samples import panel, residual, result
 
-from fmus.identification.report import figures, report_texts
+from fmus.identification.report import figures
 from fmus.identification.report.figures import joint_figure, procedure_figures
 from fmus.identification.report.identification_page import _joints
 from fmus.identification.report.prediction import RecordingComparison, nrmse
@@ -85,7 +85,7 @@ def test_a_figure_says_whether_its_data_are_simulated():
     """The origin is below the figure, with the paper's figure."""
     (figure,) = drawn(panel())
     assert figure.below == "simulated data (virtual test rig), not FERIC data · cf. Fig. 6 of the paper"
-    assert report_texts.footer(0, ["measurement"]) == "measured data"
+    assert figures.footer(0, ["measurement"]) == "measured data"
 
 
 def comparison(measured, predicted):

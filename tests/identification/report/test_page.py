@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from identification.report.samples import AREA, page, result, traces
 from lxml import html
 
-from fmus.identification.report import report_texts
+from fmus.identification.report import identification_page as texts
 from fmus.identification.report.identification_page import NAME, report
 from fmus.identification.results import Estimate
 
@@ -98,11 +98,11 @@ def test_numbers_have_few_digits_in_display_units():
     """Significant digits, typeset powers of ten; SI values are converted, and the unit is typeset."""
     given = [(9.996, 3), (-1234.5, 2), (3.127e11, 3), (float("nan"), 3)]
     shown = ["10.0", "\N{MINUS SIGN}1200", "3.13·10¹¹", "\N{EN DASH}"]
-    assert [report_texts.number(value, digits) for value, digits in given] == shown
-    assert report_texts.value(AREA) == "40.10"
-    assert [report_texts.number(4e-5, 4, *unit) for unit in (["m2"], [])] == ["40.00", "4.000·10⁻⁵"]
-    assert [report_texts.change(1.1, before) for before in (1.0, None)] == ["+10 %", report_texts.DASH]
-    assert report_texts.probability(1e-9) == "< 0.001"
+    assert [texts.number(value, digits) for value, digits in given] == shown
+    assert texts.value(AREA) == "40.10"
+    assert [texts.number(4e-5, 4, *unit) for unit in (["m2"], [])] == ["40.00", "4.000·10⁻⁵"]
+    assert [texts.change(1.1, before) for before in (1.0, None)] == ["+10 %", texts.DASH]
+    assert texts.probability(1e-9) == "< 0.001"
 
 
 @given(st.floats(1e-12, 1e12), st.floats(1e-6, 0.3))
@@ -110,7 +110,7 @@ def test_a_value_has_the_digits_of_its_interval(value, share):
     """Value and interval are rounded by less than a tenth of the interval."""
     half = value * share
     estimate = Estimate("a", value, "1", half / 2, value - half, value + half, "")
-    shown = report_texts.value(estimate).replace("·10", "e")
+    shown = texts.value(estimate).replace("·10", "e")
     shown = shown.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
     # the last of two digits of the half width, and at most seven digits at all
     assert abs(float(shown) - value) <= max(0.1 * half, 1e-6 * value)

@@ -12,9 +12,8 @@ from fmus.identification.refinement.problem import EstimationProblem, FreeParame
 from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.refinement.shooting import Iteration
 from fmus.identification.refinement.statistics import SimulatedRun, Statistics, Whiteness
-from fmus.identification.report.identification_page import faults, refinement
+from fmus.identification.report.identification_page import CHECK, faults, refinement, warnings
 from fmus.identification.report.prediction import compare
-from fmus.identification.report.report_texts import CHECK, warnings
 from fmus.machine.one_block import HARVESTER
 from orchestrator.data.recording import Recording, Sensor
 

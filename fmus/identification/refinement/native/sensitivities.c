@@ -16,8 +16,6 @@
 #define EXPORTED __attribute__((visibility("default")))
 #endif
 
-#pragma clang fp contract(fast)
-
 enum {
     COLUMNS = NQ + NX,
     BLOCKS = (COLUMNS + WIDTH - 1) / WIDTH,
