@@ -25,6 +25,10 @@ DATA = '<ssc:MetaData kind="general"><ssc:Content><a/></ssc:Content></ssc:MetaDa
 MAPPED = (
     '<ssc:{0}MappingTransformation><ssc:MapEntry source="{1}" target="{2}"/></ssc:{0}MappingTransformation>'
 )
+TERMINALS = """<fmiTerminalsAndIcons fmiVersion="3.0"><Terminals>
+<Terminal name="port" matchingRule="bus"><TerminalMemberVariable variableName="real" memberName="u"
+ variableKind="signal"/></Terminal></Terminals></fmiTerminalsAndIcons>"""
+PARAMETER = f'<Float64 name="p" {AT} causality="parameter" variability="fixed" start="1"'
 # (element, XML of one more variable of an FMU)
 FMI = [
     ("numbers of 8 to 64 bits, Boolean, Enumeration", ""),
@@ -35,6 +39,33 @@ FMI = [
     (
         "variable with clocks, without event mode",
         f'<Float64 name="x" {ONE} clocks="401"/>{CLOCK.format(401)}',
+    ),
+    ("Alias", f'{PARAMETER}><Alias name="q"/></Float64>'),
+    (
+        "Annotations of an unknown tool",
+        f'{PARAMETER}><Annotations><Annotation type="any"/></Annotations></Float64>',
+    ),
+    ("`declaredType` that is not defined", f'{PARAMETER} declaredType="T"/>'),
+    ("`reinit`, `quantity`", f'{PARAMETER} reinit="true" quantity="Length"/>'),
+    ("variable of a type that FMI does not have", f'<Float16 name="h" {AT}/>'),
+]
+UNUSED = (
+    *("providesIntermediateUpdate", "canReturnEarlyAfterIntermediateUpdate", "providesAdjointDerivatives"),
+    *("providesEvaluateDiscreteStates", "providesPerElementDependencies"),
+)
+# (element, attributes of CoSimulation)
+ABLE = [
+    ("early return without event mode: not used", {"mightReturnEarlyFromDoStep": "true"}),
+    (f"{', '.join(f'`{name}`' for name in UNUSED)}: not used", dict.fromkeys(UNUSED, "true")),
+    ("output derivatives of order 2: those of order 1 are used", {"maxOutputDerivativeOrder": 2}),
+    ("`needsExecutionTool`", {"needsExecutionTool": "true"}),
+]
+# (element, files in the archive)
+FILES = [
+    ("terminals and icons", {"terminalsAndIcons/terminalsAndIcons.xml": TERMINALS}),
+    (
+        "layered standard",
+        {"extra/org.fmi-standard.fmi-ls-xcp/fmi-ls-manifest.xml": "<fmiLayeredStandardManifest/>"},
     ),
 ]
 
@@ -139,6 +170,10 @@ def table(folder):
     rows.append(f"|FMI 3.0|Scheduled Execution only, as Clocks of the Reference-FMUs|{scheduled}|")
     for n, (element, more) in enumerate(FMI):
         rows.append(f"|FMI 3.0|{element}|{outcome(workshop.make('types', f'p{n}', more=more))}|")
+    for element, able in ABLE:
+        rows.append(f"|FMI 3.0|{element}|{outcome(workshop.make('types', 'able', able=able))}|")
+    for element, extra in FILES:
+        rows.append(f"|FMI 3.0|{element}|{outcome(workshop.make('types', 'files', extra=extra))}|")
     for n, (element, text) in enumerate(SSP):
         (folder / f"{n}").mkdir()
         version = 3 if "version 3" in element else 2
