@@ -55,7 +55,7 @@ def test_an_error_has_a_clause(good: Good, tmp_path: Path) -> None:
     errors |= {f"run.{probe}" for probe, _, more in PLANTED if more.get("severity", "error") == "error"}
     assert [rule for rule in errors if not rules[rule].clause] == []
     with open_subject(good[2].write(tmp_path / "lag.fmu")) as subject:
-        for name, severity in (("name.case", "warning"), ("xml.schema", "error")):
+        for name, severity in (("name.mangled", "warning"), ("xml.schema", "error")):
             (found,) = replace(rules[name], check=lambda _: [error("x")])(subject)
             assert found.severity == severity
 

@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 
 from orchestrator.base.errors import one_line
 from orchestrator.base.files import why_unsafe
-from orchestrator.base.xml import child, children, local_name
+from orchestrator.base.xml import child, children
 from orchestrator.check.finding import Finding, error, join_names, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.libraries import TUPLE
@@ -22,6 +22,12 @@ LONGEST_NAMES = 300  # characters that a finding quotes of names in the archive
 def opening(subject: Subject, rule: str) -> Iterator[Finding]:
     """Findings of a rule from opening the FMU."""
     return (f for f in subject.faults if f.rule == rule)
+
+
+def files_named(subject: Subject, pattern: str, say: str) -> Iterator[str]:
+    """Files with names that the FMU should not have."""
+    if found := sorted(f for f in subject.files if re.fullmatch(pattern, f)):
+        yield f"{join_names(found)}: {say}"
 
 
 def archive_suffix(subject: Subject) -> Iterator[str]:
@@ -139,14 +145,6 @@ def contents_categories(subject: Subject) -> Iterator[Finding]:
         yield note(f"{DESCRIPTION}: {text}")
 
 
-def contents_annotations(subject: Subject) -> Iterator[str]:
-    """There are no annotations for a single tool."""
-    path = ("VendorAnnotations", "Tool") if subject.major == 2 else ("Annotations", "Annotation")
-    for element in children(subject.root, *path):
-        tool = element.get("name") or element.get("type") or local_name(element)
-        yield f"{DESCRIPTION} line {element.sourceline}: annotations for {tool}; other tools ignore them"
-
-
 def contents_paths(subject: Subject) -> Iterator[str]:
     """Files contain no paths of the machine on which the FMU was made."""
     for file, data in _searched(subject, (f for f in subject.files if f.endswith(TEXT_FILES))):
@@ -172,8 +170,6 @@ def contents_size(subject: Subject) -> Iterator[str]:
 
 BUILD, SOURCE_FILES = "sources/buildDescription.xml", ("BuildConfiguration", "SourceFileSet", "SourceFile")
 CODE = (".c", ".cc", ".cpp", ".cxx")
-HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
-HEADERS_3 = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")
 
 
 def _severity(subject: Subject) -> Callable[..., Finding]:
@@ -230,18 +226,3 @@ def source_description(subject: Subject) -> Iterator[Finding]:
     generic = Counter(c.get("modelIdentifier") for c in configurations if not c.get("platform"))
     if (most := max(generic.values(), default=0)) > 1:
         yield finding(f"{BUILD}: expected one BuildConfiguration without platform, got {most}")
-
-
-def source_name(subject: Subject) -> Iterator[str]:
-    """A single source file has the name of the model (FMI 3)."""
-    names = {f.get("name") for f in children(read_xml(subject.folder, BUILD)[0], *SOURCE_FILES)}
-    for name in names & {"all.c", "model.c", "main.c", "fmu.c"} if len(names) == 1 else ():
-        expected = f"{(*subject.model.identifiers, 'model')[0]}.c"
-        yield f"sources/{name}: expected a name such as {expected}; object files of several FMUs get mixed up"
-
-
-def source_headers(subject: Subject) -> Iterator[str]:
-    """Sources contain no FMI headers; the importer provides them."""
-    sources = (f for f in subject.files if f.startswith("sources/"))
-    if files := sorted(f for f in sources if f.endswith((*HEADERS, *HEADERS_3))):
-        yield f"{join_names(files)}: FMI headers, which the importing tool provides"

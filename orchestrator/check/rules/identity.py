@@ -77,16 +77,10 @@ def kind_some(subject: Subject) -> Iterator[Finding]:
         yield warning("offers Scheduled Execution only, which few tools support")
 
 
-def kind_simulation(subject: Subject) -> Iterator[str]:
-    """The FMU offers Co-Simulation."""
-    if "ModelExchange" in subject.model.interfaces and "CoSimulation" not in subject.model.interfaces:
-        yield "no Co-Simulation: masters without a solver of their own cannot run it"
-
-
-def kind_exchange(subject: Subject) -> Iterator[str]:
-    """The FMU offers Model Exchange."""
-    if "CoSimulation" in subject.model.interfaces and "ModelExchange" not in subject.model.interfaces:
-        yield "no Model Exchange: the importing tool cannot solve the equations with its own solver"
+def missing_kind(subject: Subject, kind: str, other: str, say: str) -> Iterator[str]:
+    """The FMU offers an interface type but not another one."""
+    if other in subject.model.interfaces and kind not in subject.model.interfaces:
+        yield say
 
 
 EXAMPLE_TOKENS = {  # tokens that were copied from examples into many FMUs

@@ -393,9 +393,3 @@ def _parsed(subject: Subject, script: str) -> tuple[ast.Module | None, Finding |
 def python_syntax(subject: Subject) -> Iterator[Finding]:
     """Scripts can be parsed by Python."""
     yield from filter(None, (_parsed(subject, script)[1] for script in _scripts(subject)))
-
-
-def runtime_java(subject: Subject) -> Iterator[str]:
-    """The FMU runs without a Java machine on the target."""
-    if jars := sorted(f for f in subject.files if f.endswith(".jar")):
-        yield f"{join_names(jars)}: Java; the target machine may need a Java machine"

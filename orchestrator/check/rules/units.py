@@ -96,15 +96,6 @@ def unit_factor(subject: Subject) -> Iterator[str]:
         yield f"{join_variables(ports)}: in {names}, not SI; most tools do not convert values"
 
 
-def unit_missing(subject: Subject) -> Iterator[str]:
-    """Real inputs, outputs and parameters have a unit."""
-    without = [
-        v for v in subject.model.of("input", "output", "parameter") if v.is_real and v.unit_name is None
-    ]
-    if without:
-        yield f"{join_variables(without)}: no unit"
-
-
 FILE = "terminalsAndIcons/terminalsAndIcons.xml"
 NAMES = {
     "TerminalMemberVariable": ("variableName",),
@@ -184,10 +175,3 @@ def terminal_icons(subject: Subject) -> Iterator[str]:
             yield f"{FILE} line {element.sourceline}: terminalsAndIcons/{base}.png is missing"
     if "terminalsAndIcons/icon.svg" in subject.files and "terminalsAndIcons/icon.png" not in subject.files:
         yield "terminalsAndIcons/icon.svg without icon.png, which the standard requires next to it"
-
-
-def terminal_exists(subject: Subject) -> Iterator[str]:
-    """An FMU with many ports has terminals (FMI 3)."""
-    ports = len(subject.model.of("input", "output"))
-    if FILE not in subject.files and ports > 8:
-        yield f"{FILE} is missing; users must connect {ports} inputs and outputs one by one"

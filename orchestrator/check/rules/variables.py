@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from orchestrator.base.text import MODELICA, grouped, words
 from orchestrator.check.finding import Finding, error, join_variables, warning
@@ -129,28 +129,12 @@ def variable_type(subject: Subject) -> Iterator[str]:
             yield f"{v}: expected a declaredType, without which an enumeration has no items"
 
 
-def variable_string(subject: Subject) -> Iterator[str]:
-    """Inputs and outputs are numeric."""
-    unusual = [v for v in subject.model.of("input", "output") if v.type in ("String", "Binary", "Clock")]
-    if unusual:
-        yield f"{join_variables(unusual)}: {unusual[0].type}, which many tools cannot connect"
-
-
 def variable_array(subject: Subject) -> Iterator[str]:
     """Variables are scalars."""
     if arrays := [v for v in subject.model.variables if v.shape]:
         yield f"{arrays[0]} is an array; tools that were made for FMI 2 may not support arrays"
 
 
-def variable_text(subject: Subject) -> Iterator[str]:
-    """Inputs, outputs and parameters have a description."""
-    ports = subject.model.of("input", "output", "parameter")
-    if undescribed := [v for v in ports if not v.get("description").strip()]:
-        yield f"{join_variables(undescribed)}: no description"
-
-
-MAX_LENGTH = 63  # namelengthmax of MATLAB
-IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 QUOTED = r"'(?:[A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]|\\['\"?\\abfnrtv])+'"
 PART = rf"(?:[A-Za-z_][A-Za-z0-9_]*|{QUOTED})(?:\[[0-9]+(?:,[0-9]+)*\])?"
 PATH = rf"{PART}(?:\.{PART})*"
@@ -169,7 +153,27 @@ CPP = words(
 
 
 def _structured(subject: Subject) -> bool:
-    return subject.root is not None and subject.root.get("variableNamingConvention") == "structured"
+    return subject.model.get("variableNamingConvention") == "structured"
+
+
+def listed(
+    subject: Subject,
+    say: str,
+    of: Sequence[str] = (),
+    types: Sequence[str] = (),
+    lacks: str = "",
+    name: str = "",
+    structured: bool | None = None,
+) -> Iterator[str]:
+    """One finding on all variables of some causalities and types without an attribute, or with such names.
+
+    structured   only if the FMU declares structured names; false: only if it declares flat ones
+    """
+    chosen = subject.model.of(*of) if of else subject.model.variables
+    found = [v for v in chosen if v.name and (not types or v.type in types) and re.search(name, v.name)]
+    found = [v for v in found if not (lacks and v.get(lacks).strip())]
+    if found and structured in (None, _structured(subject)):
+        yield f"{join_variables(found)}: {say.format(type=found[0].type, length=len(found[0].name))}"
 
 
 def name_grammar(subject: Subject) -> Iterator[str]:
@@ -182,35 +186,11 @@ def name_grammar(subject: Subject) -> Iterator[str]:
             yield f"{v}: the name {name!r} breaks the grammar of variableNamingConvention structured"
 
 
-def name_structured(subject: Subject) -> Iterator[str]:
-    """Inputs and outputs have flat names."""
-    ports = [v for v in subject.model.of("input", "output") if re.search(r"[.\[]", v.name)]
-    if _structured(subject) and ports:
-        yield f"{join_variables(ports)}: expected flat names of inputs and outputs, got structured names"
-
-
-def name_characters(subject: Subject) -> Iterator[str]:
-    """Names are identifiers: letters, digits and underscores."""
-    if _structured(subject):
-        return  # checked by the rule name.grammar
-    if unusual := [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]:
-        yield f"{join_variables(unusual)}: not identifiers; tools rename or quote them"
-
-
 def name_mangled(subject: Subject) -> Iterator[str]:
     """Names remain different if a tool replaces all characters except letters and digits."""
     for name, same in grouped(subject.model.variables, lambda v: re.sub(r"\W", "_", v.name)).items():
         if len({v.name for v in same}) > 1:
             yield f"{same[1]}: becomes {name} in some tools, as {same[0].name} does"
-
-
-def name_case(subject: Subject) -> Iterator[str]:
-    """Names differ by more than case."""
-    variables: dict[str, Variable] = {}
-    for v in subject.model.variables:
-        other = variables.setdefault(v.name.casefold(), v)
-        if other.name != v.name:
-            yield f"{v}: differs from {other.name} only by case"
 
 
 def name_keyword(subject: Subject) -> Iterator[str]:
@@ -220,12 +200,6 @@ def name_keyword(subject: Subject) -> Iterator[str]:
             continue
         if languages := [n for n, words in (("Modelica", MODELICA), ("C", C)) if v.name in words]:
             yield f"{v}: is a keyword of {' and '.join(languages)}"
-
-
-def name_length(subject: Subject) -> Iterator[str]:
-    """Names have at most 63 characters."""
-    if long := [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > MAX_LENGTH]:
-        yield f"{join_variables(long)}: {len(long[0].name)} characters, expected at most {MAX_LENGTH}"
 
 
 def number(v: Variable, text: str | None) -> float | None:
