@@ -107,8 +107,8 @@ class Radau:
             self._of.jacobian(t, x, x, self._jacobian)
         if fresh or h != self._h_of_inverse:
             finite = np.where(np.isfinite(self._jacobian), self._jacobian, 0.0)
-            self._inverse = np.linalg.inv(np.eye(3 * n) - h * np.kron(A, finite))
-            self._error_inverse = np.linalg.inv(np.eye(n) - h * GAMMA * finite)
+            self._inverse = _inverse(np.eye(3 * n) - h * np.kron(A, finite))
+            self._error_inverse = _inverse(np.eye(n) - h * GAMMA * finite)
             self._h_of_inverse = h
         return fresh
 
@@ -129,3 +129,11 @@ class Radau:
                 return z
             last = size
         return None
+
+
+def _inverse(matrix: Array) -> Array:
+    """The inverse; NaN, with which no step is accepted, if the matrix is singular to rounding."""
+    try:
+        return np.asarray(np.linalg.inv(matrix))
+    except np.linalg.LinAlgError:
+        return np.full_like(matrix, np.nan)

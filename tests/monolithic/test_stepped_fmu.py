@@ -8,13 +8,16 @@ from functools import partial
 from itertools import count
 from math import exp
 from time import perf_counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from kit.mistakes import problem
 
 from orchestrator import Master, assemble, load, reference, run
+from orchestrator.engine.integration import Integration
 from orchestrator.engine.job import open_slave
+from orchestrator.engine.radau import Radau
 
 VERSIONS = (2, 3)
 
@@ -53,6 +56,23 @@ def test_an_input_is_a_cubic_inside_of_a_step(fmu, version):
         # the tolerance of the solver is 1e-8
         assert slave.get("x") == pytest.approx(end - start * exp(-1), abs=1e-7)
         assert slave.get("u") == pytest.approx(10.0, rel=1e-12)
+
+
+def test_a_matrix_that_is_singular_to_rounding_makes_a_step_shorter():
+    """x' = k (y - x), y' = k (x - y) with k = 1e20 1/s rests at x = y; in 1 + h k, the 1 is lost."""
+    matrix, rest = 1e20 * np.array([[-1.0, 1.0], [1.0, -1.0]]), np.ones(2)
+
+    class Stiff(Integration):
+        def rates(self, _, x, into):
+            into[:] = matrix @ x
+
+        def jacobian(self, *arguments):
+            arguments[-1][:] = matrix
+
+    plant = SimpleNamespace(x=rest, indicator_count=0, magnitudes=lambda: rest)
+    t, x, _ = Radau(Stiff(plant, 1e-6, 0.0)).toward(1.0, 0.0, rest).advance()
+    assert 0.0 < t < 1.0
+    np.testing.assert_array_equal(x, rest)
 
 
 # ---- steps that are repeated
