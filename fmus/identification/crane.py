@@ -12,7 +12,8 @@ NAME_measured, as for `harvester diagnose`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,6 +31,7 @@ from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.procedures.flow_balance import EDGES, IN, LINES, NOTE, OUT, PRIOR, Function
 from fmus.identification.procedures.procedure import Fit, Parts, Procedure, Recordings, solve
 from fmus.identification.recordings.clock import resample_uniformly
+from fmus.identification.recordings.masks import autocorrelation_time
 from fmus.identification.report.figures import procedure_figures
 from fmus.identification.results import Estimate, Panel, ProcedureResult, named
 from fmus.parameters import Number, complete, write
@@ -130,6 +132,19 @@ class Crane:
                 raise Problem("expected a cylinder that moves, with readings of both pressures, got none")
             return found
 
+        def refined(fit: Fit, again: Callable[[Procedure], Fit]) -> Fit:
+            """With what the model lacks as noise of the pressures, correlated over some windows."""
+            if not fit.solution.fit.misfit:
+                return fit
+            windows = autocorrelation_time(fit.solution.residual)
+            scale = np.ones((len(arm.signals), 1))
+            scale[len(arm.angles) :] = fit.solution.fit.times_noise * math.sqrt(windows)
+
+            def wider(tests: Recordings, _: object) -> Parts:
+                return [(replace(s, sd=s.sd * scale), course) for s, course in parts(tests, _)]
+
+            return replace(again(replace(fit.procedure, samples=wider)), known=fit.solution.fit.times_noise)
+
         def determined(fit: Fit) -> list[str]:
             return [n for n in start if fit.sd(n) <= balance.DETERMINED * PRIOR * start[n]]
 
@@ -151,6 +166,11 @@ class Crane:
                 yield from fit.line(Panel("torque per mass", "torque", (), n, y_unit=("kN.m", 1e3)), n)
 
         def remarks(fit: Fit) -> Iterator[str]:
+            if fit.known:
+                yield (
+                    f"The momentum balances leave residuals {fit.known:.3g} times the noise, such as of a load "
+                    "that swings; the intervals contain them, with their correlation in time."
+                )
             if left := [n.partition(".")[2] for n in start if n not in determined(fit)]:
                 yield f"The logs do not tell {', '.join(left)}: as in the file."
 
@@ -161,6 +181,8 @@ class Crane:
             signals={n: arm.signals[n] for n in arm.angles},
             law="The momentum balance of the cylinders",
             samples=parts,
+            known=lambda *_: None,
+            refined=refined,
             start=lambda _: start | dry | offsets,
             tested=[*offsets],
             priors={n: PRIOR * x for n, x in start.items()},

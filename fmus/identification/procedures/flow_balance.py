@@ -41,7 +41,8 @@ from orchestrator.data.recording import Recording
 EDGES = {"P-A": "pa", "A-T": "at", "P-B": "pb", "B-T": "bt"}
 OUT, IN = "dead band out", "dead band in"  # of a positive and of a negative command
 LINES = ("supply_pressure", "tank_pressure")
-FILLED = 1e5  # Pa, below which a chamber may have cavities
+FILLED = 2e5  # Pa, below which a chamber may have cavities
+SHORT = 1e-3  # m: the pressures of a motor are those at its valve, in front of the friction of its lines
 PRIOR = 1.0  # standard deviation over the value of the file
 # of what may be 0 in the file: dead band [V]; leakage [m3/(s.Pa)], 6 L/min at 100 bar
 LEAST = {"V": 0.5, "m3/(s.Pa)": 1e-11}
@@ -129,6 +130,7 @@ class Function:
         given = {f"valve_{short}_command_2": ca.SX(0) for short in EDGES.values()}  # no tables
         given["valve_dead_band"] = ca.if_else(command > 0, own[OUT], own[IN])
         given |= {n: 1 / own[x] if n.endswith("resistance") else own[x] for x, n in self.others.items()}
+        given |= {} if self.joint in arm.cylinders else {"line_length": ca.SX(SHORT)}
         rows = list[ca.SX]()
         for end, edges in zip(ends, (("P-A", "A-T"), ("B-T", "P-B")), strict=True):
             area = {"valve_area": ca.if_else(command > 0, *(own[n] for n in edges))}
