@@ -92,13 +92,13 @@ def _doubts(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str
 
 
 def _untold(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str]:
-    """Masses that no pose of the cylinders tells by the torques of the weight, or only together."""
+    """Masses that the torques of the weight tell in no pose of the cylinders, or only together."""
     arm, random = manipulator(crane), np.random.default_rng(0)
     (rest, masses), ends = resting(arm), {a.joint.name: (a.low, a.high) for a in found if a.joint.cylinder}
     free = [j.name for j in arm.model.free]
     poses = np.array([random.uniform(*ends.get(n, (0.0, 0.0)), POSES) for n in free])
     held = [free.index(n) for n in ends]
-    table = np.concatenate([np.array(rest(q)[1])[held] for q in poses.T]) if held else np.zeros((1, len(masses)))
+    table = np.concatenate([np.zeros((1, len(masses))), *(np.array(rest(q)[1])[held] for q in poses.T)])
     size = np.linalg.norm(table, axis=0)
     carried = [n for n, x in zip(masses, size, strict=True) if x]
     if left := [n for n in masses if n not in carried]:
@@ -106,7 +106,7 @@ def _untold(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str
     _, sizes, directions = np.linalg.svd(table[:, size > 0] / size[size > 0])
     null = directions[np.count_nonzero(sizes > SAME * sizes[0]) :] if carried else np.zeros((0, 0))
     if tied := [n for n, x in zip(carried, np.abs(null).max(axis=0, initial=0.0), strict=True) if x > SAME]:
-        yield f"{', '.join(tied)} apart: their torques are alike in all poses"
+        yield f"{', '.join(tied)} apart: no pose does"
 
 
 def _assumed(crane: CraneDescription) -> Iterator[str]:

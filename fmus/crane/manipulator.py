@@ -454,8 +454,8 @@ def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
 def resting(manipulator: Subsystem) -> tuple[ca.Function, list[str]]:
     """(q) -> q with passive joints in balance, torques of the weight per mass; names of the masses.
 
-    q are coordinates of all joints that follow none, of passive ones a guess. The torques dG/dm have the shape
-    (joints, masses), in N.m/kg and N/kg. Nothing is held.
+    q are coordinates of all joints that follow none, of passive ones a guess. The torques dG/dm have the
+    shape (joints, masses), in N.m/kg and N/kg. Nothing is held.
     """
     mechanics: Mechanics = manipulator.model
     known = {n: ca.SX(x.value) for n, x in complete(manipulator)["parameters"].items()}

@@ -2,8 +2,9 @@
 
 Each driven joint has a flow balance (`procedures.flow_balance`): valve, leakage. The cylinders together have
 the momentum balance of the arm (`procedures.momentum_balance`), with mechanics and drives of the crane:
-masses of the links, friction. A mass has a prior of `PRIOR` of its value in the file, so one that the logs tell only
-together with others keeps a wide interval, and is no estimate; the torque of all at the start pose is one.
+masses of the links, friction. A mass has a prior of `PRIOR` of its value in the file, so one that the logs
+tell only together with others keeps a wide interval, and is no estimate; the torque of all at the start pose
+is one.
 
 Validity: no payload, no contact with the ground; passive joints hang at rest; spool valves. The signals have
 the names of the crane's FMUs, such as boom_command, boom_angle and boom_head_pressure, also COMPONENT.NAME or
@@ -40,7 +41,7 @@ from orchestrator.base.text import TextTable
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import READABLE
 from orchestrator.results.diagnosis import columns_of
-from orchestrator.results.report import PAGE, TERMINAL, Columns, Figure, Report, Section, Table, Text
+from orchestrator.results.report import PAGE, TERMINAL, Columns, Figure, Part, Report, Section, Table, Text
 
 SLOW, ROUNDING = 0.2, 0.05  # rms speeds: below, stiction holds unknown forces; of the sign of a dry friction
 MOVES = 0.01  # rad or m, range from which a joint moves
@@ -98,9 +99,13 @@ class Crane:
         if not columns:
             expected = ", ".join(n.rpartition(".")[2] for n in self.functions[-1].signals)
             raise Problem(f"{log.source}: expected columns such as {expected}, got none")
-        groups = ("signals", "units", "sensors", "file_units")
-        of = {g: {n: getattr(log, g)[c] for n, c in columns.items() if c in getattr(log, g)} for g in groups}
-        log, angles = replace(log, **of), self.arm.angles
+        log = replace(
+            log,
+            signals={n: log.signals[c] for n, c in columns.items()},
+            units={n: log.units[c] for n, c in columns.items()},
+            sensors={n: log.sensors[c] for n, c in columns.items() if c in log.sensors},
+        )
+        angles = self.arm.angles
         passive = [n for n, j in zip(angles, self.arm.joints, strict=True) if j not in self.arm.pressures]
         if {*angles} - {*passive} <= log.signals.keys():
             guess = [np.zeros(log.time.size) if n in passive else log.interpolated(n) for n in angles]
@@ -167,10 +172,7 @@ class Crane:
 
         def remarks(fit: Fit) -> Iterator[str]:
             if fit.known:
-                yield (
-                    f"The momentum balances leave residuals {fit.known:.3g} times the noise, such as of a load "
-                    "that swings; the intervals contain them, with their correlation in time."
-                )
+                yield f"Residuals of {fit.known:.3g} times the noise, as of a load that swings, count as noise."
             if left := [n.partition(".")[2] for n in start if n not in determined(fit)]:
                 yield f"The logs do not tell {', '.join(left)}: as in the file."
 
@@ -261,7 +263,7 @@ def run(description: CraneDescription, logs: Path, out: Path) -> Report:
     sections = list[Section]()
     for r in results:
         pictures = Columns([Figure(x, r.title) for x in procedure_figures(r)])
-        content = [pictures, Text(r.remarks), _table(r.others)]
+        content: list[Part] = [pictures, Text(r.remarks), _table(r.others)]
         sections.append(Section(r.title, content, folded=True, only=PAGE))
     told = _table([e for r in results for e in r.estimates])
     data = [{n: x for n, x in vars(r).items() if n != "panels"} for r in results]

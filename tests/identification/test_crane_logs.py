@@ -1,4 +1,4 @@
-"""Valve, leakage and masses of a small crane from a log of its functions, against the machine that made it."""
+"""Valve, leakage and masses of a small crane from a log, against the machine that made it."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ mass = "300 kg"
 centre = ["1.5 m", 0, "0.2 m"]
 inertia = [0, 300, 300]
 drive = "cylinder"
-cylinder = { base = ["0.35 m", "-0.9 m"], pin = ["0.5 m", "0.1 m"], closed = "0.85 m", stroke = "0.55 m", bore = "80 mm", rod = "45 mm" }
+cylinder = { base = ["0.35 m", "-0.9 m"], pin = ["0.5 m", "0.1 m"], closed = "0.85 m", stroke = "0.55 m", bore = "80 mm", rod = "45 mm", friction = "400 N" }
 hydraulics = { valve = "20 mm2", hose = "2 m" }
 [payload]
 on = "boom"
@@ -57,7 +57,7 @@ def described(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def simulated(described):
-    """The outputs of the machine with oil columns in its hoses, of other parameters than those of the file."""
+    """Outputs of the machine with oil columns in its hoses, with other parameters than in the file."""
     machine = crane_machine(described, faults=True)
     parts = machine.subsystems | machine.feeding
     model = join(parts, *wiring(parts))

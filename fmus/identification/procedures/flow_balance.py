@@ -4,9 +4,9 @@
 
 f is that of the quasi-static drives of a machine at measured signals: spool valve with the hose in series,
 oil volumes, leakage. Only the coordinate is differentiated, by a filter. Unknowns are the area of each edge
-at full command, the dead band of each direction, the leakage (past the seals of a cylinder; across and out of a
-motor), which a rest with a load tells best, and the capacitance of the hoses. They have priors of `PRIOR`, so
-that what a log does not excite keeps its value, and is no estimate.
+at full command, the dead band of each direction, the leakage (past the seals of a cylinder; across and out
+of a motor), which a rest with a load tells best, and the capacitance of the hoses. They have priors of
+`PRIOR`, so that what a log does not excite keeps its value, and is no estimate.
 
 Validity: below the modes of the hoses; openings that are straight behind the dead band, with the rounding of
 the file; no compensated sections, whose flow does not depend on the drop; both chambers above `FILLED`. The
@@ -36,7 +36,7 @@ from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.results import BAR, Estimate, Panel
 from fmus.parameters import Number
-from orchestrator.data.recording import Recording
+from orchestrator.data.recording import Mask, Recording
 
 EDGES = {"P-A": "pa", "A-T": "at", "P-B": "pb", "B-T": "bt"}
 OUT, IN = "dead band out", "dead band in"  # of a positive and of a negative command
@@ -133,7 +133,7 @@ class Function:
         given |= {} if self.joint in arm.cylinders else {"line_length": ca.SX(SHORT)}
         rows = list[ca.SX]()
         for end, edges in zip(ends, (("P-A", "A-T"), ("B-T", "P-B")), strict=True):
-            area = {"valve_area": ca.if_else(command > 0, *(own[n] for n in edges))}
+            area = {"valve_area": ca.if_else(command > 0, own[edges[0]], own[edges[1]])}
             old = e.p[[arm.parameters.index(self.parameter(n)) for n in given | area]]
             rows.append(ca.substitute(rates[end], old, ca.vertcat(*(given | area).values())))
         return balance.law(z, unknowns, e.p, ca.vertcat(*rows), ca.vertcat(*pressures))
@@ -150,8 +150,9 @@ class Function:
         value, derivative, _ = kernel.weights
         corners = (np.arange(kernel.size) == kernel.size // 2) * 1.0  # of the command stay
         filters = (value, derivative, value, value, corners, value, value)
-        good = good_all(recording, sampled) & (np.array(raw[1:3]) > FILLED).all(axis=0)
-        whole = sliding_window_view(good, kernel.size).all(axis=1)
+        filled: Mask = (np.array(raw[1:3]) > FILLED).all(axis=0)
+        good = good_all(recording, sampled) & filled
+        whole: Mask = sliding_window_view(good, kernel.size).all(axis=1)
         known = self.arm.vector(self.parameters)
         return replace(
             balance.samples_of(self.law, sensors, np.array(raw), np.array(noise), list(known)),

@@ -138,13 +138,13 @@ class MeasuredArm:
         measured["oil_temperature"] = ca.SX(oil.REFERENCE)
         applied = {f"tip_force_{n}": ca.SX(0) for n in "xyz"}
         for sub in self.drives:
-            seen = sub.observe(
-                *(at(g, measured) for g in (sub.states, sub.inputs)), self.parameters_of(sub, p)
-            )
+            x, u = (at(group, measured) for group in (sub.states, sub.inputs))
+            seen = sub.observe(x, u, self.parameters_of(sub, p))
             applied |= {n: x for n, x in flat(seen).items() if n.endswith(("_force", "_torque"))}
         arm = self.manipulator
         of_arm = at(arm.states, measured), at(arm.inputs, applied), self.parameters_of(arm, p)
-        seen, forces = flat(arm.observe(*of_arm)), arm.model.forces(*of_arm)
+        seen = flat(arm.observe(*of_arm))
+        forces = replace(arm.model, dry=None).forces(*of_arm)  # dry friction is an unknown
         rods = [piston.transmission for piston in forces.pistons.values()]
         kinetic, potential = seen["kinetic_energy"], seen["potential_energy"]
         return SimpleNamespace(
@@ -230,7 +230,8 @@ def free_of_stops(q: Array, p: Array, arm: MeasuredArm) -> Mask:
     """Whether all pistons are away from the ends of their strokes, at coordinates (joints, n)."""
     strokes = np.array([p[arm.parameters.index(f"manipulator.{j}_stroke")] for j in arm.cylinders])[:, None]
     position: Array = np.array(arm.pistons(q, p)[0].full())
-    return np.all((position >= STOP_MARGIN) & (position <= strokes - STOP_MARGIN), axis=0)
+    inside: Mask = np.all((position >= STOP_MARGIN) & (position <= strokes - STOP_MARGIN), axis=0)
+    return inside
 
 
 def joint_samples(
