@@ -172,7 +172,7 @@ class Crane:
 
         def remarks(fit: Fit) -> Iterator[str]:
             if fit.known:
-                yield f"Residuals of {fit.known:.3g} times the noise, as of a load that swings, count as noise."
+                yield f"Residuals of {fit.known:.3g} times the noise, as of a swinging load, count as noise."
             if left := [n.partition(".")[2] for n in start if n not in determined(fit)]:
                 yield f"The logs do not tell {', '.join(left)}: as in the file."
 

@@ -36,7 +36,7 @@ from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.results import BAR, Estimate, Panel
 from fmus.parameters import Number
-from orchestrator.data.recording import Mask, Recording
+from orchestrator.data.recording import Recording
 
 EDGES = {"P-A": "pa", "A-T": "at", "P-B": "pb", "B-T": "bt"}
 OUT, IN = "dead band out", "dead band in"  # of a positive and of a negative command
@@ -150,9 +150,9 @@ class Function:
         value, derivative, _ = kernel.weights
         corners = (np.arange(kernel.size) == kernel.size // 2) * 1.0  # of the command stay
         filters = (value, derivative, value, value, corners, value, value)
-        filled: Mask = (np.array(raw[1:3]) > FILLED).all(axis=0)
-        good = good_all(recording, sampled) & filled
-        whole: Mask = sliding_window_view(good, kernel.size).all(axis=1)
+        filled = np.all(np.array(raw[1:3]) > FILLED, axis=0)
+        good = np.asarray(good_all(recording, sampled) & filled)
+        whole = np.asarray(sliding_window_view(good, kernel.size).all(axis=1))
         known = self.arm.vector(self.parameters)
         return replace(
             balance.samples_of(self.law, sensors, np.array(raw), np.array(noise), list(known)),
