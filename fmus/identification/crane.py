@@ -6,15 +6,14 @@ masses of the links, friction. A mass has a prior of `PRIOR` of its value in the
 tell only together with others keeps a wide interval, and is no estimate; the torque of all at the start pose
 is one.
 
-Validity: no payload, no contact with the ground; passive joints hang at rest; spool valves. The signals have
-the names of the crane's FMUs, such as boom_command, boom_angle and boom_head_pressure, also COMPONENT.NAME or
-NAME_measured, as for `harvester diagnose`.
+Validity: no payload, no contact with the ground; passive joints hang at rest, else masses are refused; spool
+valves. The signals have the names of the crane's FMUs, such as boom_command, boom_angle and
+boom_head_pressure, also COMPONENT.NAME or NAME_measured, as for `harvester diagnose`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,7 +31,7 @@ from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.procedures.flow_balance import EDGES, IN, LINES, NOTE, OUT, PRIOR, Function
 from fmus.identification.procedures.procedure import Fit, Parts, Procedure, Recordings, solve
 from fmus.identification.recordings.clock import resample_uniformly
-from fmus.identification.recordings.masks import autocorrelation_time
+from fmus.identification.recordings.masks import KNOWN
 from fmus.identification.report.figures import procedure_figures
 from fmus.identification.results import Estimate, Panel, ProcedureResult, named
 from fmus.parameters import Number, complete, write
@@ -137,18 +136,10 @@ class Crane:
                 raise Problem("expected a cylinder that moves, with readings of both pressures, got none")
             return found
 
-        def refined(fit: Fit, again: Callable[[Procedure], Fit]) -> Fit:
-            """With what the model lacks as noise of the pressures, correlated over some windows."""
-            if not fit.solution.fit.misfit:
-                return fit
-            windows = autocorrelation_time(fit.solution.residual)
-            scale = np.ones((len(arm.signals), 1))
-            scale[len(arm.angles) :] = fit.solution.fit.times_noise * math.sqrt(windows)
-
-            def wider(tests: Recordings, _: object) -> Parts:
-                return [(replace(s, sd=s.sd * scale), course) for s, course in parts(tests, _)]
-
-            return replace(again(replace(fit.procedure, samples=wider)), known=fit.solution.fit.times_noise)
+        def fitting(fit: Fit) -> None:
+            if (times := fit.solution.fit.times_noise) > KNOWN:
+                told = f"residuals of {times:.3g} times the noise, expected {KNOWN:g} at most"
+                raise Problem(f"{told}, such as of a load that swings: move slowly, or without what hangs")
 
         def determined(fit: Fit) -> list[str]:
             return [n for n in start if fit.sd(n) <= balance.DETERMINED * PRIOR * start[n]]
@@ -171,8 +162,6 @@ class Crane:
                 yield from fit.line(Panel("torque per mass", "torque", (), n, y_unit=("kN.m", 1e3)), n)
 
         def remarks(fit: Fit) -> Iterator[str]:
-            if fit.known:
-                yield f"Residuals of {fit.known:.3g} times the noise, as of a swinging load, count as noise."
             if left := [n.partition(".")[2] for n in start if n not in determined(fit)]:
                 yield f"The logs do not tell {', '.join(left)}: as in the file."
 
@@ -183,8 +172,6 @@ class Crane:
             signals={n: arm.signals[n] for n in arm.angles},
             law="The momentum balance of the cylinders",
             samples=parts,
-            known=lambda *_: None,
-            refined=refined,
             start=lambda _: start | dry | offsets,
             tested=[*offsets],
             priors={n: PRIOR * x for n, x in start.items()},
@@ -195,6 +182,7 @@ class Crane:
             others=lambda fit: [Estimate.normal(n, fit[n], "N", fit.sd(n), "momentum balance") for n in dry],
             panels=panels,
             remarks=remarks,
+            check=fitting,
         )
 
 
@@ -209,7 +197,7 @@ def identify(crane: Crane, logs: Path) -> tuple[list[ProcedureResult], list[str]
                 raise Problem(f"no reading of {', '.join(lacking)}")
             found.append(solve(declared, own, crane.known))
         except Problem as error:
-            missing.append(f"{declared.name}: {error}")
+            missing.append(f"{declared.name}: {str(error).removeprefix(f'{declared.name}: ')}")
     if not found:
         raise Problem(f"{logs}: nothing was identified: {'; '.join(missing)}")
     return found, missing
@@ -259,7 +247,10 @@ def run(description: CraneDescription, logs: Path, out: Path) -> Report:
     parameters = keys(crane, results)
     write(out, {"parameters": parameters})
     wrong = [f"warning: {x.sentence}" for x in named(x for r in results for x in r.findings)]
-    left = [*(f"not identified: {text}" for text in missing), *(x for r in results for x in r.remarks)]
+    left = [
+        *(f"not identified: {text}" for text in missing),
+        *(f"{r.procedure}: {x}" for r in results for x in r.remarks),
+    ]
     sections = list[Section]()
     for r in results:
         pictures = Columns([Figure(x, r.title) for x in procedure_figures(r)])

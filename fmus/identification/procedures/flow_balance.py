@@ -31,10 +31,10 @@ from fmus.identification import balance
 from fmus.identification.balance import Law, Samples
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.momentum_balance import WINDOW, MeasuredArm, at, smoothing
-from fmus.identification.procedures.procedure import Fit, Procedure
+from fmus.identification.procedures.procedure import Fit, Procedure, misfit
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.masks import good_all
-from fmus.identification.results import BAR, Estimate, Panel
+from fmus.identification.results import BAR, Estimate, Finding, Panel
 from fmus.parameters import Number
 from orchestrator.data.recording import Recording
 
@@ -174,6 +174,11 @@ class Function:
                     sd = float(np.hypot(fit.sd(n), LAW_OFF[unit] * fit[n]))
                     yield Estimate.normal(n, fit[n], unit, sd, NOTE)
 
+        def findings(fit: Fit) -> Iterator[Finding]:
+            # commands, and lines without a reading, are exact: the noise of the others is tested
+            own = [replace(s, raw=s.raw[:3], sd=s.sd[:3]) for s in fit.solution.samples]
+            yield misfit(fit.label, replace(fit.solution, samples=own))
+
         def panels(fit: Fit) -> Iterator[Panel]:
             for e in (e for e in estimates(fit) if e.unit == "m2"):
                 of = "rate of pressure"
@@ -185,7 +190,7 @@ class Function:
             if left := [n for n in self.start if n not in told]:
                 yield f"The logs do not tell {', '.join(left)}: as in the file."
             for n in (n for n in LINES if not all(n in r.signals for r in fit.recordings)):
-                yield f"{self.joint}: no reading of {n}: taken as {self.lines[n] / BAR[1]:g} bar."
+                yield f"No reading of {n}: taken as {self.lines[n] / BAR[1]:g} bar."
 
         return Procedure(
             name=f"{self.joint}: valve and leakage",
@@ -201,4 +206,5 @@ class Function:
             estimates=estimates,
             panels=panels,
             remarks=remarks,
+            findings=findings,
         )
