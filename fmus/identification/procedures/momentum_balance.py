@@ -166,6 +166,7 @@ class MeasuredArm:
 HARVESTER = MeasuredArm((SWING, BOOM_STICK), MANIPULATOR)
 JOINTS, ANGLES, PRESSURES = tuple(HARVESTER.joints), HARVESTER.angles, HARVESTER.pressures
 SIGNALS, PARAMETERS = HARVESTER.signals, HARVESTER.parameters
+ALL_PRESSURES = tuple(n for n in SIGNALS if n not in ANGLES)
 
 
 def at(group: type[Any], values: Mapping[str, ca.SX]) -> Any:
