@@ -118,8 +118,9 @@ class Crane:
     def masses(self) -> Procedure:
         """The momentum balances of all cylinders that move."""
         arm, (rest, names) = self.arm, self.resting
-        links, friction = [f"manipulator.{n}" for n in names], {j: arm.damping(j) for j in arm.cylinders}
-        start = {n: self.known[n].value for n in (*links, *friction.values())}
+        links = [f"manipulator.{n}" for n in names]
+        friction = {j: [n for n in (arm.damping(j),) if n in self.known] for j in arm.cylinders}
+        start = {n: self.known[n].value for n in [*links, *(n for some in friction.values() for n in some)]}
         dry, offsets = ({f"{j} {n}": 0.0 for j in arm.cylinders} for n in (momentum.DRY, momentum.OFFSET))
         readings = [n for j in arm.cylinders for n in arm.pressures[j]]
 
@@ -128,7 +129,7 @@ class Crane:
             for r, j in ((r, j) for r in tests for j in arm.cylinders):
                 angle = arm.angles[arm.index(j)]
                 if {*arm.pressures[j]} <= r.signals.keys() and np.ptp(r.interpolated(angle)) > MOVES:
-                    theta = (*links, friction[j])
+                    theta = (*links, *friction[j])
                     s = momentum.joint_samples(r, j, theta, p, slow=SLOW, rounding=ROUNDING, arm=arm)
                     own = (f"{j} {momentum.DRY}", f"{j} {momentum.OFFSET}")
                     found.append(data.with_course(r, replace(s, names=(*theta, *own))))

@@ -135,6 +135,15 @@ def test_what_has_no_reading_is_said_in_a_line(described, simulated, tmp_path):
     assert {n.partition("_")[0] for n in keys(crane, results)} == {"slew"}
 
 
+def test_friction_that_is_structure_is_no_unknown(tmp_path):
+    """A cylinder without viscous friction in the file has masses and dry friction as unknowns."""
+    file = tmp_path / "smooth.toml"
+    file.write_text(FILE.replace('friction = "400 N"', "damping = 0"), encoding="utf-8")
+    unknowns = Crane(read(file)).masses.start(None)
+    assert "boom dry friction" in unknowns
+    assert not any("damping" in n for n in unknowns)
+
+
 def test_a_log_of_something_else_is_refused(described, tmp_path):
     """One line names the columns that are expected."""
     (tmp_path / "other.csv").write_text("time,x\n0,1\n1,2\n", encoding="utf-8")
