@@ -81,7 +81,7 @@ def identify(
     require("identify", "harvester identify")
     if crane is not None:
         if free or not joint:
-            raise Problem(f"--crane {crane}: expected no --free and no --no-joint: it has no joint refinement")
+            raise Problem(f"--crane {crane}: expected no --free and no --no-joint: cranes have no refinement")
         from fmus.crane.check import check
         from fmus.crane.description import read
         from fmus.identification.crane import run as run_crane
