@@ -6,7 +6,7 @@ masses of the links, friction. A mass has a prior of `PRIOR` of its value in the
 tell only together with others keeps a wide interval, and is no estimate; the torque of all at the start pose
 is one.
 
-Validity: no payload, no contact with the ground; passive joints hang at rest, else masses are refused; spool
+Validity: no payload, no contact with the ground; passive joints without a reading hang at rest, else masses are refused; spool
 valves. The signals have the names of the crane's FMUs, such as boom_command, boom_angle and
 boom_head_pressure, also COMPONENT.NAME or NAME_measured, as for `harvester diagnose`.
 """
@@ -31,18 +31,22 @@ from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.procedures.flow_balance import EDGES, IN, LINES, NOTE, OUT, PRIOR, Function
 from fmus.identification.procedures.procedure import Fit, Parts, Procedure, Recordings, solve
 from fmus.identification.recordings.clock import resample_uniformly
-from fmus.identification.recordings.masks import KNOWN
+from fmus.identification.recordings.masks import KNOWN, step
+from fmus.identification.recordings.reading import doubtful, require
 from fmus.identification.report.figures import procedure_figures
 from fmus.identification.results import Estimate, Panel, ProcedureResult, named
 from fmus.parameters import Number, complete, write
+from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import TextTable
+from orchestrator.base.files import tell_once
+from orchestrator.base.text import TextTable, first_names
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import READABLE
 from orchestrator.results.diagnosis import columns_of
 from orchestrator.results.report import PAGE, TERMINAL, Columns, Figure, Part, Report, Section, Table, Text
 
 SLOW, ROUNDING = 0.2, 0.05  # rms speeds: below, stiction holds unknown forces; of the sign of a dry friction
+UNLIKE = "; does it move, and are its signs, zeros and pressures those of the description?"
 MOVES = 0.01  # rad or m, range from which a joint moves
 
 
@@ -80,39 +84,56 @@ class Crane:
         return resting(self.arm.manipulator)
 
     def read(self, path: Path) -> list[Recording]:
-        """A log, or those in a folder, with the names of the signals that are needed."""
+        """A log, or those in a folder, with the names of the signals that are needed; warns of units."""
         files = [path]
         if path.is_dir():
             files = sorted(p for p in path.iterdir() if p.suffix.lower() in READABLE)
         if not files:
             raise Problem(f"{path}: expected logs, files that end in {', '.join(READABLE)}, got none")
-        return [self._renamed(resample_uniformly(read_recording(p))) for p in files]
+        logs = [self._renamed(resample_uniformly(read_recording(p))) for p in files]
+        for text in doubtful(logs):
+            tell_once(f"warning: {text}")
+        return [*map(self._complete, logs)]
 
     def _renamed(self, log: Recording) -> Recording:
-        """With passive joints at rest, if all driven ones have a reading."""
-        names, columns = {*self.arm.signals, *LINES, *(n for f in self.functions for n in f.signals)}, {}
-        for name in names:
+        """The signals that are needed, by their names; refuses wrong units and a log that is too short."""
+        units, columns = self.arm.signals | dict.fromkeys(LINES, "Pa"), dict[str, str]()
+        for f in self.functions:
+            units |= f.signals
+        for name in units:
             part, _, short = name.rpartition(".")
             if found := columns_of([short], part, log.signals, log.source):
                 columns[name] = found[short]
         if not columns:
             expected = ", ".join(n.rpartition(".")[2] for n in self.functions[-1].signals)
-            raise Problem(f"{log.source}: expected columns such as {expected}, got none")
+            got = first_names(log.signals)
+            raise Problem(f"{log.source}: expected columns such as {expected}, got none, only {got}")
+        momentum.smoothing(log)  # long enough
         log = replace(
             log,
             signals={n: log.signals[c] for n, c in columns.items()},
-            units={n: log.units[c] for n, c in columns.items()},
+            units={n: log.units[c] or units[n] for n, c in columns.items()},  # without one SI, as of a run
+            file_units={n: x for n, c in columns.items() if (x := log.file_units.get(c))},
             sensors={n: log.sensors[c] for n, c in columns.items() if c in log.sensors},
+            faults={n: log.faults[c] for n, c in columns.items() if c in log.faults},
         )
-        angles = self.arm.angles
-        passive = [n for n, j in zip(angles, self.arm.joints, strict=True) if j not in self.arm.pressures]
-        if {*angles} - {*passive} <= log.signals.keys():
-            guess = [np.zeros(log.time.size) if n in passive else log.interpolated(n) for n in angles]
-            at_rest = np.array(self.resting[0].map(log.time.size)(np.array(guess))[0])
-            hanging = {n: at_rest[k] for k, n in enumerate(angles) if n in passive}
-            units = {n: self.arm.signals[n] for n in hanging}
-            log = replace(log, signals={**log.signals, **hanging}, units={**log.units, **units})
+        require(log, {n: units[n] for n in columns})
         return log
+
+    def _complete(self, log: Recording) -> Recording:
+        """With steps of readings that no file describes, and passive joints without a reading at rest."""
+        read = [n for n in log.signals if not n.endswith("command") and not log.sensor(n).sd]
+        steps = {n: replace(log.sensor(n), resolution=step(log.signals[n])) for n in read}
+        log, angles = replace(log, sensors={**log.sensors, **steps}), self.arm.angles
+        lacking = {n for n in angles if n not in log.signals}
+        driven = {n for n, j in zip(angles, self.arm.joints, strict=True) if j in self.arm.pressures}
+        if not lacking or lacking & driven:
+            return log
+        guess = [np.zeros(log.time.size) if n in lacking else log.interpolated(n) for n in angles]
+        at_rest = np.array(self.resting[0].map(log.time.size)(np.array(guess))[0])
+        hanging = {n: at_rest[k] for k, n in enumerate(angles) if n in lacking}
+        units = {n: self.arm.signals[n] for n in hanging}
+        return replace(log, signals={**log.signals, **hanging}, units={**log.units, **units})
 
     @cached_property
     def masses(self) -> Procedure:
@@ -140,7 +161,7 @@ class Crane:
         def fitting(fit: Fit) -> None:
             if (times := fit.solution.fit.times_noise) > KNOWN:
                 told = f"residuals of {times:.3g} times the noise, expected {KNOWN:g} at most"
-                raise Problem(f"{told}, such as of a load that swings: move slowly, or without what hangs")
+                raise Problem(f"{told}, such as of a load that swings: move slowly, or record its angle")
 
         def determined(fit: Fit) -> list[str]:
             return [n for n in start if fit.sd(n) <= balance.DETERMINED * PRIOR * start[n]]
@@ -198,7 +219,8 @@ def identify(crane: Crane, logs: Path) -> tuple[list[ProcedureResult], list[str]
                 raise Problem(f"no reading of {', '.join(lacking)}")
             found.append(solve(declared, own, crane.known))
         except Problem as error:
-            missing.append(f"{declared.name}: {str(error).removeprefix(f'{declared.name}: ')}")
+            text = f"{declared.name}: {str(error).removeprefix(f'{declared.name}: ')}"
+            missing.append(text + UNLIKE * ("converge" in text))
     if not found:
         raise Problem(f"{logs}: nothing was identified: {'; '.join(missing)}")
     return found, missing
@@ -243,6 +265,8 @@ def run(description: CraneDescription, logs: Path, out: Path) -> Report:
     """Identify a crane, and write the parameters of its FMUs to a file (.toml)."""
     if out.suffix != ".toml":
         raise Problem(f"--out {out}: expected a file that ends in .toml")
+    if out.is_file() and "parameters" not in toml.read(out, out.read_bytes()).data:
+        raise Problem(f"--out {out}: expected no file or one of parameters, got another")
     crane = Crane(description)
     results, missing = identify(crane, logs)
     parameters = keys(crane, results)

@@ -1,5 +1,7 @@
 """Valve, leakage and masses of a small crane from a log, against the machine that made it."""
 
+import re
+
 import numpy as np
 import pytest
 from kit.cranes import told_of
@@ -72,14 +74,21 @@ def simulated(described):
     return played(model, time, commands, p, tolerance=1e-7) | commands
 
 
-def log(y, folder, *left_out):
-    """A log of the simulated machine with noise, as a logger writes it; some columns are left out."""
-    random, size, columns = np.random.default_rng(1), y["time"].size, {"time [s]": y["time"]}
+def log(y, folder, *left_out, places=None):
+    """A log of the simulated machine, as a logger writes it; some columns are left out.
+
+    places   unit -> decimals to which readings are rounded; None: they have noise
+    """
+    noise = np.zeros if places else np.random.default_rng(1).standard_normal
+    size, columns = y["time"].size, {"time [s]": y["time"]}
     for n in ("slew_angle", "boom_angle"):
-        columns[f"{n} [deg]"] = np.rad2deg(y[f"manipulator.{n}"] + ANGLE * random.standard_normal(size))
+        columns[f"{n} [deg]"] = np.rad2deg(y[f"manipulator.{n}"] + ANGLE * noise(size))
     for n in ("boom_head_pressure", "boom_rod_pressure", "slew_pressure_a", "slew_pressure_b"):
-        columns[f"{n} [bar]"] = (y[f"drives.{n}"] + PRESSURE * random.standard_normal(size)) / 1e5
+        columns[f"{n} [bar]"] = (y[f"drives.{n}"] + PRESSURE * noise(size)) / 1e5
     columns |= {f"{n}_command [V]": y[f"{n}_command"] for n in ("boom", "slew")}
+    for n in columns:
+        if (unit := n.rpartition(" ")[2]) in (places or {}):
+            columns[n] = np.round(columns[n], places[unit])
     kept = {n: x for n, x in columns.items() if n.partition(" ")[0] not in left_out}
     path = folder / "log.csv"
     np.savetxt(path, np.array([*kept.values()]).T, "%.7g", ",", header=",".join(kept), comments="")
@@ -149,6 +158,76 @@ def test_a_log_of_something_else_is_refused(described, tmp_path):
     (tmp_path / "other.csv").write_text("time,x\n0,1\n1,2\n", encoding="utf-8")
     with pytest.raises(Problem, match=r"other.csv: expected columns such as boom_angle, .*, got none"):
         identify(Crane(described), tmp_path / "other.csv")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("boom_angle [deg]", "boom_angle [mm]", "signal manipulator.boom_angle is in m, expected rad"),
+        ("boom_command [V]", "boom_command [%]", "signal drives.boom_command is in 1, expected V"),
+    ],
+)
+def test_another_unit_is_refused(described, simulated, tmp_path, old, new, told):
+    """A column in a unit of another quantity is named, instead of a search that does not converge."""
+    path = log(simulated, tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    with pytest.raises(Problem, match=re.escape(told)):
+        identify(Crane(described), path)
+
+
+def test_a_log_too_short_for_the_filters_is_named(described, simulated, tmp_path):
+    """It tells nothing, and the fit of the others would not converge with it."""
+    path = log({n: x[:12] for n, x in simulated.items()}, tmp_path)
+    with pytest.raises(Problem, match=r"log.csv: 12 samples, expected 39 or more for the filters"):
+        identify(Crane(described), path)
+
+
+def test_rounded_readings_have_an_error(described, simulated, tmp_path):
+    """Readings in steps of 1 bar and 0.1 degree at 50 Hz, without a description, tell the mass."""
+    path = log({n: x[::2] for n, x in simulated.items()}, tmp_path, places={"[deg]": 1, "[bar]": 0})
+    results, missing = identify(Crane(described), path)
+    mass = next(e for r in results for e in r.estimates if e.name == "manipulator.boom_mass")
+    assert not missing
+    assert mass.value == pytest.approx(TRUE["manipulator.boom_mass"], abs=3.5 * mass.sd)
+    assert mass.sd < 0.02 * mass.value  # as that of the log without steps
+
+
+def test_a_joint_that_hangs_may_have_a_reading(tmp_path):
+    """Its angle is that of the log; without a reading it hangs at rest."""
+    hook = """
+[hook]
+axis = "-y"
+at = ["3 m", 0, 0]
+mass = "80 kg"
+centre = [0, 0, "-1 m"]
+inertia = [2, 2, 1]
+[payload]
+on = "hook"
+at = [0, 0, "-1 m"]
+"""
+    file, path = tmp_path / "hook.toml", tmp_path / "log.csv"
+    file.write_text(
+        FILE.replace(FILE[FILE.index("[payload]") : FILE.index("[start]")], hook), encoding="utf-8"
+    )
+    time, crane = np.arange(50) / 100, Crane(read(file))
+    columns = {"time [s]": time, "slew_angle [deg]": 0 * time, "boom_angle [deg]": 10 * time}
+    for own, expected in (
+        ({"hook_angle [deg]": 30 * time}, np.deg2rad(30 * time)),
+        ({}, np.deg2rad(-10 * time)),
+    ):
+        table = columns | own
+        np.savetxt(path, np.array([*table.values()]).T, delimiter=",", header=",".join(table), comments="")
+        # below the last digit of the file; the second angle is that of the balance
+        np.testing.assert_allclose(
+            crane.read(path)[0]["manipulator.hook_angle"], np.deg2rad(expected), atol=1e-9
+        )
+
+
+def test_parameters_are_not_written_over_another_file(described, simulated, tmp_path):
+    """The description of the crane, or of a log, stays as it is."""
+    with pytest.raises(Problem, match=r"hook.toml: expected no file or one of parameters"):
+        run(described, log(simulated, tmp_path), described.file)
+    assert described.file.read_text(encoding="utf-8") == FILE
 
 
 def test_check_tells_what_no_log_can(described):

@@ -30,12 +30,12 @@ from fmus.contract import flat
 from fmus.identification import balance
 from fmus.identification.balance import Law, Samples
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures.momentum_balance import WINDOW, MeasuredArm, at, smoothing
-from fmus.identification.procedures.procedure import Fit, Procedure, misfit
-from fmus.identification.recordings.clock import uniform_rate
+from fmus.identification.procedures.momentum_balance import MeasuredArm, at, smoothing
+from fmus.identification.procedures.procedure import Fit, Parts, Procedure, Recordings, misfit
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.results import BAR, Estimate, Finding, Panel
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
 EDGES = {"P-A": "pa", "A-T": "at", "P-B": "pb", "B-T": "bt"}
@@ -140,33 +140,39 @@ class Function:
 
     def samples(self, recording: Recording) -> Samples:
         """A recording."""
-        rate, sensors = uniform_rate(recording), (*self.signals, *LINES)
+        (kernel, windows), sensors = smoothing(recording), (*self.signals, *LINES)
         read = [n for n in sensors if n in recording.signals]
         sampled = [n for n in read if n != sensors[3]]  # the command is exact
-        kernel, size = smoothing(rate), recording.time.size
-        bump, slope = balance.modulating_function(max(round(WINDOW * rate / 2), 2) + 1, rate)
-        raw = [recording.interpolated(n) if n in read else np.full(size, self.lines[n]) for n in sensors]
+        count = recording.time.size
+        raw = [recording.interpolated(n) if n in read else np.full(count, self.lines[n]) for n in sensors]
         noise = [data.noise_sd(recording, n) if n in sampled else 0.0 for n in sensors]
         value, derivative, _ = kernel.weights
         corners = (np.arange(kernel.size) == kernel.size // 2) * 1.0  # of the command stay
         filters = (value, derivative, value, value, corners, value, value)
         filled = np.all(np.array(raw[1:3]) > FILLED, axis=0)
-        good = np.asarray(good_all(recording, sampled) & filled)
+        given = np.isfinite(recording[sensors[3]])
+        good = np.asarray(good_all(recording, sampled) & filled & given)
         whole = np.asarray(sliding_window_view(good, kernel.size).all(axis=1))
         known = self.arm.vector(self.parameters)
         return replace(
             balance.samples_of(self.law, sensors, np.array(raw), np.array(noise), list(known)),
+            **windows,
             channels=[*zip((0, 0, 1, 2, 3, 4, 5), filters, strict=True)],
-            rate=rate,
-            bump=bump,
-            slope=slope,
-            starts=balance.window_starts(whole, bump.size),
+            starts=balance.window_starts(whole, windows["bump"].size),
         )
 
     @cached_property
     def procedure(self) -> Procedure:
         """What is estimated."""
         priors = {n: max(PRIOR * x, LEAST.get(unit, 0.0)) for n, (x, unit) in self.start.items()}
+
+        def parts(tests: Recordings, _: object) -> Parts:
+            found = [data.with_course(r, self.samples(r)) for r in tests]
+            if not any(s.starts.size for s, _ in found):
+                pressures = " and ".join(self.arm.pressures[self.joint])
+                filled = f"{pressures} above {FILLED / BAR[1]:g} bar"
+                raise Problem(f"expected a stretch without a gap or clipped sample and {filled}, got none")
+            return [(s, along) for s, along in found if s.starts.size]
 
         def estimates(fit: Fit) -> Iterator[Estimate]:
             for n, (_, unit) in self.start.items():
@@ -198,7 +204,7 @@ class Function:
             figure=0,
             signals=self.signals,
             law="The flow balance",
-            samples=lambda tests, _: [data.with_course(r, self.samples(r)) for r in tests],
+            samples=parts,
             start=lambda _: {n: x for n, (x, _) in self.start.items()},
             priors=priors,
             limits=lambda tests: data.zero_limits(tests, self.arm.pressures[self.joint]),

@@ -222,9 +222,18 @@ def filtered(
     return raw, channels, z, good
 
 
-def smoothing(rate: float) -> SavitzkyGolay:
-    """The filter of all signals at a sampling rate [Hz]."""
-    return SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
+def smoothing(recording: Recording, window: float = WINDOW) -> tuple[SavitzkyGolay, dict[str, Any]]:
+    """The filter of all signals; rate, bump and slope of `Samples`, the bump of some length [s].
+
+    Raises Problem if the recording is too short.
+    """
+    rate = uniform_rate(recording)
+    kernel = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
+    half = max(round(window * rate / 2), 2) + 1
+    if (count := recording.time.size) < (shortest := 2 * half + kernel.size):
+        raise Problem(f"{recording.source}: {count} samples, expected {shortest} or more for the filters")
+    bump, slope = balance.modulating_function(half, rate)
+    return kernel, {"rate": rate, "bump": bump, "slope": slope}
 
 
 def free_of_stops(q: Array, p: Array, arm: MeasuredArm) -> Mask:
@@ -252,34 +261,24 @@ def joint_samples(
     slow       rms speeds below which a sample is left out
     rounding   rms speeds over which the sign of the dry friction is rounded
     """
-    rate = uniform_rate(recording)
-    kernel = smoothing(rate)
-    half = max(round(window * rate / 2), 2) + 1
-    bump, slope = balance.modulating_function(half, rate)
-    shortest = 2 * half + kernel.size
-    if recording.time.size < shortest:
-        raise Problem(
-            f"{recording.source}: {recording.time.size} samples, expected {shortest} or more for the filters"
-        )
+    kernel, windows = smoothing(recording, window)
+    size = windows["bump"].size
     raw, channels, z, good = filtered(recording, joint, kernel, arm)
     used, count = needed_signals(joint, arm), len(arm.joints)
     good &= free_of_stops(z[:count], p, arm)
     speed = speed_ratio(joint, z, p, arm) * z[count + arm.index(joint)]
     rms = float(np.sqrt(np.mean(speed**2)))
-    if not balance.window_starts(good, bump.size).size:
-        raise Problem(
-            f"{recording.source}: expected {shortest / rate:.2g} s without a gap or "
-            f"clipped sample in {', '.join(used)}, got no such stretch"
-        )
+    if not balance.window_starts(good, size).size:
+        shortest = f"{(size + 1 + kernel.size) / windows['rate']:.2g} s"
+        expected = f"expected {shortest} without a gap or clipped sample in {', '.join(used)}"
+        raise Problem(f"{recording.source}: {expected}, got no such stretch")
     noise = np.array([noise_sd(recording, n) if n in used else 0.0 for n in arm.signals])
     known = [*p, tank_pressure(recording), max(rounding * rms, 1e-9)]
     return replace(
         balance.samples_of(momentum_law(joint, theta, arm), arm.signals, raw, noise, known),
+        **windows,
         channels=channels,
-        rate=rate,
-        bump=bump,
-        slope=slope,
-        starts=balance.window_starts(good & (np.abs(speed) >= slow * rms), bump.size),
+        starts=balance.window_starts(good & (np.abs(speed) >= slow * rms), size),
     )
 
 
