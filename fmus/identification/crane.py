@@ -6,9 +6,9 @@ masses of the links, friction. A mass has a prior of `PRIOR` of its value in the
 tell only together with others keeps a wide interval, and is no estimate; the torque of all at the start pose
 is one.
 
-Validity: no payload, no contact with the ground; passive joints without a reading hang at rest, else masses are refused; spool
-valves. The signals have the names of the crane's FMUs, such as boom_command, boom_angle and
-boom_head_pressure, also COMPONENT.NAME or NAME_measured, as for `harvester diagnose`.
+Validity: no payload, no contact with the ground; passive joints without a reading hang at rest, else masses
+are refused; spool valves. The signals have the names of the crane's FMUs, such as boom_command, boom_angle
+and boom_head_pressure, also COMPONENT.NAME or NAME_measured, as for `harvester diagnose`.
 """
 
 from __future__ import annotations
@@ -239,19 +239,23 @@ def keys(crane: Crane, results: Sequence[ProcedureResult]) -> dict[str, Number]:
 def _keys_of_valve(f: Function, estimates: Mapping[str, Estimate]) -> dict[str, Number]:
     """Area of the widest edge, dead band out, and curves of the edges that differ; leakage of a motor.
 
+    Values that the logs do not tell are those of the file; a curve that it has of the widest edge gets zeros.
     Leakage past seals is a parameter of a machine with faults only, so it is left out.
     """
     own = {n.removeprefix(f"{f.joint} "): estimates.get(n) for n in f.start}
     value = {n: e.value if e else f.start[f"{f.joint} {n}"][0] for n, e in own.items()}
     areas, found = {short: value[n] for n, short in EDGES.items()}, dict[str, Number]()
     widest = next(n for n in EDGES if areas[EDGES[n]] == max(areas.values()))
-    for key, e in (("valve_area", own[widest]), ("valve_dead_band", own[OUT])):
-        found |= {key: e.number()} if e else {}
     if any(own[n] for n in (*EDGES, OUT, IN)):
         bands = {short: value[OUT if n in ("P-A", "B-T") else IN] for n, short in EDGES.items()}
         shape = f.known("valve_command_rounding"), f.known("valve_full_command")
         curves = edge_curves(areas, bands, value[OUT], *shape)
+        of_file = [n for e in areas if f.known(f"valve_{e}_command_2") for n in f.points(e)]
+        curves |= {n: (0.0, "V" if "command" in n else "1") for n in of_file if n not in curves}
+        curves |= {"valve_area": (value[widest], "m2"), "valve_dead_band": (value[OUT], "V")}
         found |= {n: Number(x, unit, "identified", NOTE) for n, (x, unit) in curves.items()}
+    for key, e in (("valve_area", own[widest]), ("valve_dead_band", own[OUT])):
+        found |= {key: e.number()} if e else {}
     for n, name in f.others.items():
         if (e := own[n]) and e.value > 0 and name.endswith("resistance"):
             note = e.number().note

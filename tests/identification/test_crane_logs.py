@@ -1,6 +1,7 @@
 """Valve, leakage and masses of a small crane from a log, against the machine that made it."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from kit.equations import corners, played
 from fmus.crane.description import read
 from fmus.crane.machine import crane_build, crane_machine
 from fmus.identification.crane import Crane, identify, keys, run
+from fmus.identification.procedures.flow_balance import EDGES
+from fmus.identification.results import Estimate
 from fmus.machine.machine import wiring
 from fmus.monolith import join
-from fmus.parameters import numbers
+from fmus.parameters import numbers, write
 from orchestrator.base.errors import Problem
 
 FILE = """
@@ -134,6 +137,24 @@ def test_the_machine_is_built_with_the_keys(found, described, tmp_path):
     assert "Boom: edges of its valve" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(("told", "area"), [("A-T", 1.5e-5), ("P-B", 3e-5)])
+def test_edges_that_the_log_does_not_tell_keep_their_areas(tmp_path, told, area):
+    """Also if the widest edge of the file is another one than of the log."""
+    file, out = tmp_path / "edges.toml", tmp_path / "found.toml"
+    edges = 'valve = "20 mm2", head_return = "25 mm2", rod_valve = "22 mm2"'
+    file.write_text(FILE.replace('valve = "20 mm2"', edges), encoding="utf-8")
+    crane = Crane(read(file))
+    boom = next(f for f in crane.functions if f.joint == "boom")
+    expected = {n: boom.start[f"boom {n}"][0] for n in EDGES} | {told: area}
+    result = SimpleNamespace(estimates=[Estimate.normal(f"boom {told}", area, "m2", 1e-8, "")])
+    write(out, {"parameters": keys(crane, [result])})
+    parts = crane_build(crane.description, out).machine.subsystems
+    p = {n: x.value for n, x in numbers(parts["drives"])["parameters"].items()}
+    for edge, short in EDGES.items():
+        opening = p[f"boom_valve_{short}_opening_4"] if p[f"boom_valve_{short}_command_2"] else 1.0
+        assert p["boom_valve_area"] * opening == pytest.approx(expected[edge], rel=1e-9)  # rounding
+
+
 def test_what_has_no_reading_is_said_in_a_line(described, simulated, tmp_path):
     """A function without one of its pressures has no estimates; the others have."""
     crane = Crane(described)
@@ -211,10 +232,7 @@ at = [0, 0, "-1 m"]
     )
     time, crane = np.arange(50) / 100, Crane(read(file))
     columns = {"time [s]": time, "slew_angle [deg]": 0 * time, "boom_angle [deg]": 10 * time}
-    for own, expected in (
-        ({"hook_angle [deg]": 30 * time}, np.deg2rad(30 * time)),
-        ({}, np.deg2rad(-10 * time)),
-    ):
+    for own, expected in ({"hook_angle [deg]": 30 * time}, 30 * time), ({}, -10 * time):
         table = columns | own
         np.savetxt(path, np.array([*table.values()]).T, delimiter=",", header=",".join(table), comments="")
         # below the last digit of the file; the second angle is that of the balance

@@ -80,6 +80,11 @@ class Function:
         own = self.parameters.get(self.parameter(name))
         return (own or self.parameters[f"{self.part}.{name}"]).value
 
+    @staticmethod
+    def points(edge: str) -> list[str]:
+        """Parameters of the curve of an edge of `EDGES`, without the joint: commands, then openings."""
+        return [f"valve_{edge}_{n}_{k}" for n in ("command", "opening") for k in range(1, POINTS + 1)]
+
     @cached_property
     def signals(self) -> dict[str, str]:
         """Coordinate, pressures and command, with their SI units."""
@@ -99,7 +104,7 @@ class Function:
         """Unknowns with their values by the file, and their units."""
         found = dict[str, tuple[float, str]]()
         for edge, short in EDGES.items():  # of a narrower edge the last point of its table
-            shares = [self.known(f"valve_{short}_opening_{k}") for k in range(1, POINTS + 1)]
+            shares = [self.known(n) for n in self.points(short)[POINTS:]]
             found[edge] = self.known("valve_area") * (max(shares) or 1.0), "m2"
         found |= dict.fromkeys((OUT, IN), (self.known("valve_dead_band"), "V"))
         for n, name in self.others.items():
