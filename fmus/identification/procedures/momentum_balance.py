@@ -124,7 +124,6 @@ class MeasuredArm:
 
         q, w, pressures, tank, p   coordinates, speeds, measured pressures, that of the tank, `parameters`
         momentum, force            h and f of the joints, shape (n, 1)
-        weight                     potential energy
         position, moment_arm       of the pistons of the cylinders, shape (c, 1)
         """
         of_pressures = [n for n in self.signals if n not in self.angles]
@@ -146,12 +145,11 @@ class MeasuredArm:
         seen = flat(arm.observe(*of_arm))
         forces = replace(arm.model, dry=None).forces(*of_arm)  # dry friction is an unknown
         rods = [piston.transmission for piston in forces.pistons.values()]
-        kinetic, potential = seen["kinetic_energy"], seen["potential_energy"]
+        kinetic = seen["kinetic_energy"]
         return SimpleNamespace(
             **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p},
             momentum=ca.gradient(kinetic, w),
-            force=forces.tau + ca.gradient(kinetic - potential, q),
-            weight=potential,
+            force=forces.tau + ca.gradient(kinetic - seen["potential_energy"], q),
             position=ca.vertcat(*(r.position for r in rods)),
             moment_arm=ca.vertcat(*(r.arm for r in rods)),
         )
@@ -236,14 +234,6 @@ def smoothing(recording: Recording, window: float = WINDOW) -> tuple[SavitzkyGol
     return kernel, {"rate": rate, "bump": bump, "slope": slope}
 
 
-def free_of_stops(q: Array, p: Array, arm: MeasuredArm) -> Mask:
-    """Whether all pistons are away from the ends of their strokes, at coordinates (joints, n)."""
-    strokes = np.array([p[arm.parameters.index(f"manipulator.{j}_stroke")] for j in arm.cylinders])[:, None]
-    position: Array = np.array(arm.pistons(q, p)[0].full())
-    inside: Mask = np.all((position >= STOP_MARGIN) & (position <= strokes - STOP_MARGIN), axis=0)
-    return inside
-
-
 def joint_samples(
     recording: Recording,
     joint: str,
@@ -265,7 +255,9 @@ def joint_samples(
     size = windows["bump"].size
     raw, channels, z, good = filtered(recording, joint, kernel, arm)
     used, count = needed_signals(joint, arm), len(arm.joints)
-    good &= free_of_stops(z[:count], p, arm)
+    strokes = np.array([p[arm.parameters.index(f"manipulator.{j}_stroke")] for j in arm.cylinders])[:, None]
+    position: Array = np.array(arm.pistons(z[:count], p)[0].full())
+    good &= np.all((position >= STOP_MARGIN) & (position <= strokes - STOP_MARGIN), axis=0)
     speed = speed_ratio(joint, z, p, arm) * z[count + arm.index(joint)]
     rms = float(np.sqrt(np.mean(speed**2)))
     if not balance.window_starts(good, size).size:
