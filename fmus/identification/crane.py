@@ -288,6 +288,8 @@ def run(description: CraneDescription, logs: Path, out: Path) -> Report:
     told = _table([e for r in results for e in r.estimates])
     data = [{n: x for n, x in vars(r).items() if n != "panels"} for r in results]
     use = f"harvester build --crane {description.file} --parameters {out} takes them"
+    if wrong:
+        use = f"doubtful by the warnings; {use}"
     return Report(
         f"Identification: {description.title}",
         f"{out}: {len(parameters)} parameters; {use}",
