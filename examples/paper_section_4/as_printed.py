@@ -172,7 +172,7 @@ def leakages(sets: Sequence[Array]) -> Iterator[Printed]:
 @lru_cache(maxsize=1)
 def equation_of_motion() -> ca.Function:
     """(q, q', q'', pressures, tank, p) -> f - dh/dt of (4), df_i/dq_i', x_i'/q_i', each (3, n)."""
-    e, a = momentum.symbolic_equations(), ca.SX.sym("a", 3)
+    e, a = momentum.HARVESTER.equations, ca.SX.sym("a", 3)
     damping, ratio = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.moment_arm)
     rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, a)
     arguments = [e.q, e.w, a, e.pressures, e.tank, e.p]
@@ -198,7 +198,7 @@ def motion(recording: Recording, joint: str, known: Known, length: int) -> tuple
     One Savitzky-Golay filter of some samples gives angles, their first and second derivatives, and pressures.
     x' is q' of the swing and J q' of a piston.
     """
-    row, rate, p = momentum.JOINTS.index(joint), uniform_rate(recording), momentum.parameter_vector(known)
+    row, rate, p = momentum.JOINTS.index(joint), uniform_rate(recording), momentum.HARVESTER.vector(known)
     p[momentum.PARAMETERS.index(named(joint))] = 0.0
     kernel = SavitzkyGolay(rate, (length - 1) / rate, momentum.ORDER)
     raw, _, z, good = momentum.filtered(recording, joint, kernel)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
+
 from fmus.crane import sizes
 from fmus.crane.axes import SUPPLIES, AxisCheck, Capacity, Speeds, axes_of, lifting_moment, modes
 from fmus.crane.controller import controlled
@@ -18,12 +20,13 @@ from fmus.crane.description import (
     keys_of,
 )
 from fmus.crane.machine import borrowed, components, taken
-from fmus.crane.manipulator import contacts
+from fmus.crane.manipulator import contacts, manipulator, resting
 from fmus.parameters import Number
 from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable
 
 SMALL_LEVER = 0.25  # of the largest one: below it a joint may run over the dead point beyond an end stop
+POSES, SAME = 50, 1e-6  # random poses, and share of a torque that is rounding
 SHARES = (0.4, 0.7, 1.0)  # of the largest reach, for which loads are printed
 
 
@@ -63,6 +66,7 @@ def table(
         controlled(crane)
     except Problem as why:
         lines.append(f"note: without a controller of its tip: {why}")
+    lines += [f"note: identify cannot tell {text}" for text in _untold(crane, found)]
     lines += [f"assumed: {text}" for text in _assumed(crane)]
     return "\n".join(lines)
 
@@ -85,6 +89,24 @@ def _doubts(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str
                 f"[{a.joint.name}] lever down to {least:.0f} of {largest:.0f} mm near an end of the stroke, "
                 "where the end stop may not hold the joint back from the dead point; a shorter stroke does"
             )
+
+
+def _untold(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str]:
+    """Masses that the torques of the weight tell in no pose of the cylinders, or only together."""
+    arm, random = manipulator(crane), np.random.default_rng(0)
+    (rest, masses), ends = resting(arm), {a.joint.name: (a.low, a.high) for a in found if a.joint.cylinder}
+    free = [j.name for j in arm.model.free]
+    poses = np.array([random.uniform(*ends.get(n, (0.0, 0.0)), POSES) for n in free])
+    held = [free.index(n) for n in ends]
+    table = np.concatenate([np.zeros((1, len(masses))), *(np.array(rest(q)[1])[held] for q in poses.T)])
+    size = np.linalg.norm(table, axis=0)
+    carried = [n for n, x in zip(masses, size, strict=True) if x]
+    if left := [n for n in masses if n not in carried]:
+        yield f"{', '.join(left)}: no cylinder carries it"
+    _, sizes, directions = np.linalg.svd(table[:, size > 0] / size[size > 0])
+    null = directions[np.count_nonzero(sizes > SAME * sizes[0]) :] if carried else np.zeros((0, 0))
+    if tied := [n for n, x in zip(carried, np.abs(null).max(axis=0, initial=0.0), strict=True) if x > SAME]:
+        yield f"{', '.join(tied)} apart: no pose does"
 
 
 def _assumed(crane: CraneDescription) -> Iterator[str]:

@@ -283,17 +283,32 @@ def _sized(
 
 def _edges(joint: JointDescription, common: Mapping[str, Number]) -> dict[str, Number]:
     """Area of a spool valve: that of its widest edge, and curves of the edges that are narrower."""
-    widest, found = max(joint.edges.values(), key=lambda x: x.value), dict[str, Number]()
-    full, dead, rounding = common["valve_full_command"].value, *map(joint.__getitem__, LINE)
-    start = min(rounding, (full - dead) / 4)  # points on a line give this line from the third one on
-    for edge, area in ((e, x.value) for e, x in joint.edges.items() if x.value != widest.value):
-        for k, volts in enumerate((dead, dead + start, dead + 2 * start, full), 1):
-            opening = area / widest.value * float(spool_valve.opening(volts, dead, full, rounding))
-            found[f"valve_{edge}_command_{k}"] = _derived(volts, "V", "hydraulics.dead_band, rounding")
-            found[f"valve_{edge}_opening_{k}"] = _derived(
-                opening, "1", "area of the edge over the widest one"
-            )
-    return found | {"valve_area": widest}
+    dead, rounding = map(joint.__getitem__, LINE)
+    areas = {edge: x.value for edge, x in joint.edges.items()}
+    shape = dead, rounding, common["valve_full_command"].value
+    curves = edge_curves(areas, dict.fromkeys(areas, dead), *shape)
+    notes = {"V": "hydraulics.dead_band, rounding", "1": "area of the edge over the widest one"}
+    found = {n: _derived(x, unit, notes[unit]) for n, (x, unit) in curves.items()}
+    return found | {"valve_area": max(joint.edges.values(), key=lambda x: x.value)}
+
+
+def edge_curves(
+    areas: Mapping[str, float], dead_bands: Mapping[str, float], dead: float, rounding: float, full: float
+) -> dict[str, tuple[float, str]]:
+    """Points, with units, of the curves of edges narrower than the widest one, or of another dead band.
+
+    areas, dead_bands       by edge [m2], [V]
+    dead, rounding, full    of the valve [V]
+    """
+    widest, found = max(areas.values()), dict[str, tuple[float, str]]()
+    for edge in (e for e in areas if (areas[e], dead_bands[e]) != (widest, dead)):
+        own = dead_bands[edge]
+        start = min(rounding, (full - own) / 4)  # points on a line give this line from the third one on
+        for k, volts in enumerate((own, own + start, own + 2 * start, full), 1):
+            opening = areas[edge] / widest * float(spool_valve.opening(volts, own, full, rounding))
+            found[f"valve_{edge}_command_{k}"] = volts, "V"
+            found[f"valve_{edge}_opening_{k}"] = opening, "1"
+    return found
 
 
 def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:

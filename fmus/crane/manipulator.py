@@ -21,7 +21,7 @@ from fmus import ports
 from fmus.components.chain import Link, Payload, Vector, gravity_on_slope
 from fmus.components.linkage import Cylinder, Drive, FourBar, Telescope, direction, length
 from fmus.components.mechanics import Point
-from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities
+from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, nested, quantities
 from fmus.crane.description import (
     INERTIA,
     OF_JOINT,
@@ -30,6 +30,7 @@ from fmus.crane.description import (
     CraneDescription,
     JointDescription,
 )
+from fmus.diagnosis.unknowns import masses_of
 from fmus.joints import BARS, JointModel, Mechanics
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.manipulator.friction import (
@@ -51,7 +52,7 @@ from fmus.manipulator.variables import (
     ManipulatorParameters,
     ManipulatorState,
 )
-from fmus.parameters import Number, Tables, numbers
+from fmus.parameters import Number, Tables, complete, numbers
 from fmus.smooth import lowest, ramp
 
 NAME = "manipulator"
@@ -448,3 +449,22 @@ def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
         rubbing = numbers(VARIANTS["friction"])["parameters"]
         found |= {n: rubbing[n.removeprefix("dry_")] for n in quantities(Dry)}
     return make_group("Parameters", members, *bases, **groups), {"parameters": found, "start": {}}
+
+
+def resting(manipulator: Subsystem) -> tuple[ca.Function, list[str]]:
+    """(q) -> q with passive joints in balance, torques of the weight per mass; names of the masses.
+
+    q are coordinates of all joints that follow none, of passive ones a guess. The torques dG/dm have the
+    shape (joints, masses), in N.m/kg and N/kg. Nothing is held.
+    """
+    mechanics: Mechanics = manipulator.model
+    known = {n: ca.SX(x.value) for n, x in complete(manipulator)["parameters"].items()}
+    names = [n for n in masses_of(manipulator) if not known[n].is_zero()]
+    count = len(mechanics.free)
+    m, q, s = (ca.SX.sym(n, size) for n, size in (("m", len(names)), ("q", count), ("s", count)))
+    p = nested(manipulator.parameters, known)
+    own = nested(manipulator.parameters, known | dict(zip(names, ca.vertsplit(m), strict=True)))
+    potential = mechanics.chain(own).potential(s, mechanics.payload(ca.SX(0), own))
+    at_rest = mechanics.at_rest(q, ca.SX(0), p)
+    torques = ca.substitute(ca.jacobian(ca.gradient(potential, s), m), s, at_rest)
+    return ca.Function("resting", [q], [ca.densify(at_rest), ca.densify(torques)]), names

@@ -59,6 +59,7 @@ def identify(
     report: Folder = BUILD,
     joint: bool = True,
     free: Annotated[list[str] | None, Kind("NAME")] = None,
+    crane: File | None = None,
 ) -> int:
     """Estimate the machine's parameters from recordings.
 
@@ -68,14 +69,29 @@ def identify(
     report are written, but a test shows that the data contradict an assumption, and a warning names it, such
     as the zero of a sensor. Where there is reason for 1 and 3, it is 1.
 
-    folder    Folder of recordings: data files, each with a .toml that describes the columns.
+    folder    Folder of recordings: data files, each with a .toml that describes the columns. With --crane: a
+              log, or a folder of logs.
     out       File for the estimated parameters (.toml).
     report    Folder of identification.html and identification.json.
     joint     Refine all parameters together, if there is a recording of the whole machine.
     free      Parameter that `joint` may change, by its name in parameters.toml; default: those that a work
               cycle excites.
+    crane     Identify the crane that this file (.toml) describes, see `harvester crane`: valves, leakage and
+              masses, from logs whose columns have the names of its functions, such as boom_command.
     """
     require("identify", "harvester identify")
+    if crane is not None:
+        if free or not joint:
+            raise Problem(f"--crane {crane}: expected no --free and no --no-joint: cranes have no refinement")
+        from fmus.crane.check import check
+        from fmus.crane.description import read
+        from fmus.identification.crane import run as run_crane
+
+        check(description := read(crane))
+        found = run_crane(description, folder, out)
+        print(found.text())
+        print("Report: {}, {}".format(*found.write(report / "identification.html")))
+        return 0 if found.passed else 3
     if not folder.is_dir():  # before the slow imports
         got = "a file" if folder.is_file() else "no such file or folder"
         raise Problem(f"{folder}: expected a folder of recordings, got {got}")

@@ -288,18 +288,24 @@ def readings(file: Path) -> Trace:
     return Trace(trace.time, signals, trace.units)
 
 
-def _named(trace: Trace, component: str, inputs: Collection[str], file: Path) -> Trace:
+def columns_of(inputs: Iterable[str], component: str, columns: Iterable[str], file: Path) -> dict[str, str]:
     """The columns of inputs: NAME, that of the component, that behind a sensor, or the only other one."""
-    found = dict[str, str]()
+    found, columns = dict[str, str](), [*columns]
     for name in inputs:
-        exact = [n for n in (name, f"{component}.{name}", f"{name}_measured") if n in trace.signals]
-        behind = [c for c in trace.signals if c.endswith(f".{name}_measured")]
-        others = [c for c in trace.signals if c.endswith(f".{name}")]
-        columns = exact[:1] or behind or others
-        if len(columns) > 1:
-            text = f"{file}: expected one column {name}, got {', '.join(columns)}"
+        exact = [n for n in (name, f"{component}.{name}", f"{name}_measured") if n in columns]
+        behind = [c for c in columns if c.endswith(f".{name}_measured")]
+        others = [c for c in columns if c.endswith(f".{name}")]
+        these = exact[:1] or behind or others
+        if len(these) > 1:
+            text = f"{file}: expected one column {name}, got {', '.join(these)}"
             raise Problem(f"{text}; name the reading {name}, or leave the others out")
-        found |= dict.fromkeys([name], *columns) if columns else {}
+        found |= dict.fromkeys([name], *these) if these else {}
+    return found
+
+
+def _named(trace: Trace, component: str, inputs: Collection[str], file: Path) -> Trace:
+    """The columns of inputs, by their names."""
+    found = columns_of(inputs, component, trace.signals, file)
     units = {n: trace.units[c] for n, c in found.items() if c in trace.units}
     return Trace(trace.time, {n: trace.signals[c] for n, c in found.items()}, units)
 

@@ -86,7 +86,7 @@ def identify(recordings: Recordings, parameters: Parameters) -> ProcedureResult:
 
 def of_joint(joint: str, tests: Recordings, parameters: Parameters) -> tuple[Procedure, list[Recording]]:
     """The procedure of one joint, and the recordings in which it moves."""
-    contact, index, p = BY_JOINT[joint], momentum.JOINTS.index(joint), momentum.parameter_vector(parameters)
+    contact, index, p = BY_JOINT[joint], momentum.JOINTS.index(joint), momentum.HARVESTER.vector(parameters)
 
     def samples(recording: Recording) -> Samples:
         return momentum.joint_samples(recording, joint, (contact.theta,), p, rounding=SIGN_ROUNDING)

@@ -99,8 +99,8 @@ def parameter_value(parameters: Mapping[str, Number], name: str) -> float:
 
 def tank_pressure(recording: Recording) -> float:
     """Gauge pressure of the return line [Pa]: mean of its signal, or the stated one, or 0."""
-    if "swing.tank_pressure" in recording.signals:
-        return float(np.nanmean(recording["swing.tank_pressure"]))
+    if found := [x for n, x in recording.signals.items() if n.endswith("tank_pressure")]:
+        return float(np.nanmean(found[0]))
     return stated(recording, "tank_pressure") or 0.0
 
 

@@ -4,9 +4,10 @@ Paper eq. (4) as Lagrange's equations, with the energies T and V of the arm:
 
     dh/dt = f        h = dT/dq'        f = tau + d(T - V)/dq
 
-T, V and tau are those of `fmus.manipulator`. The torque and the forces of the hydraulics are those of
-`fmus.swing` (motor ports by line resistance and leakage) and `fmus.boom_stick`, at measured pressures. One
-Savitzky-Golay filter smooths angles and pressures first; the speeds are its derivative.
+T, V and tau are those of the manipulator. The torque and the forces of the hydraulics are those of the
+machine's drives at measured pressures: `fmus.swing` (motor ports by line resistance and leakage) and
+`fmus.boom_stick`, or those of a crane. One Savitzky-Golay filter smooths angles and pressures first; the
+speeds are its derivative.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -25,11 +26,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 from fmus.boom_stick import BOOM_STICK
 from fmus.components import oil
 from fmus.contract import Subsystem, flat, nested, quantities, symbols, unstack, with_derived
+from fmus.drives.cylinder import CHAMBERS
+from fmus.drives.motor import LINES
 from fmus.identification import balance
 from fmus.identification.balance import Law, Samples, Solution
 from fmus.identification.procedures.experiment_data import noise_sd, parameter_value, tank_pressure
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
+from fmus.joints import JointModel
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Number
 from fmus.swing import SWING
@@ -44,121 +48,190 @@ STOP_MARGIN = 2e-3  # m from the ends of a stroke within which the end stops may
 MAX_NAMES = 3  # parameters named in a remark
 EXACT = "manipulator.gravity"  # has no error
 DRY, OFFSET = "dry friction", "constant force"  # further unknowns of the balance of one joint
-JOINTS = ("swing", "boom", "stick")
-ANGLES = tuple(f"manipulator.{j}_angle" for j in JOINTS)
-PRESSURES = {
-    "swing": ("swing.swing_pressure_a", "swing.swing_pressure_b"),
-    "boom": ("boom_stick.boom_head_pressure", "boom_stick.boom_rod_pressure"),
-    "stick": ("boom_stick.stick_head_pressure", "boom_stick.stick_rod_pressure"),
-}
-ALL_PRESSURES = tuple(name for both in PRESSURES.values() for name in both)
-SIGNALS = dict.fromkeys(ANGLES, "rad") | dict.fromkeys(ALL_PRESSURES, "Pa")
-_PARTS = (SWING, BOOM_STICK, MANIPULATOR)
-PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.parameters))
 
 
-@lru_cache(maxsize=1)
-def symbolic_equations() -> SimpleNamespace:
-    """The equations of motion at measured pressures: symbols, and expressions in them.
+@dataclass(frozen=True, eq=False)
+class MeasuredArm:
+    """Mechanics and drives of a machine, and the names of what is measured of them: `part.name`.
 
-    q, w, pressures, tank, p   angles, speeds, measured pressures, that of the tank, parameters of the machine
-    momentum, force            h and f of the joints, shape (3, 1)
-    position, moment_arm       of the pistons of boom and stick, shape (2, 1)
+    drives        parts whose outputs are the forces and torques of the joints
+    manipulator   a subsystem of `fmus.joints`
     """
-    q, w, tank = ca.SX.sym("q", 3), ca.SX.sym("w", 3), ca.SX.sym("tank")
-    pressures, p = ca.SX.sym("pressure", len(ALL_PRESSURES)), ca.SX.sym("p", len(PARAMETERS))
-    measured = {name.partition(".")[2]: pressures[k] for k, name in enumerate(ALL_PRESSURES)}
-    measured |= {f"{j}_angle": q[k] for k, j in enumerate(JOINTS)}
-    measured |= {f"{j}_speed": w[k] for k, j in enumerate(JOINTS)}
-    # the head's own mass includes what it holds; forces at measured pressures are those at any temperature
-    measured |= {"tank_pressure": tank, "held_mass": ca.SX(0), "payload_flow": ca.SX(0)}
-    measured["oil_temperature"] = ca.SX(oil.REFERENCE)
-    swing, cylinders = (
-        sub.observe(_at(sub.states, measured), _at(sub.inputs, measured), _parameters_of(sub, p))
-        for sub in (SWING, BOOM_STICK)
-    )
-    applied = {"swing_torque": swing.swing_torque}
-    applied |= {n: getattr(cylinders, n) for n in ("boom_force", "stick_force")}
-    of_arm = (
-        _at(MANIPULATOR.states, measured),
-        _at(MANIPULATOR.inputs, applied),
-        _parameters_of(MANIPULATOR, p),
-    )
-    seen, forces = MANIPULATOR.observe(*of_arm), MANIPULATOR.model.forces(*of_arm)
-    rods = [piston.transmission for piston in forces.pistons.values()]
-    return SimpleNamespace(
-        **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p},
-        momentum=ca.gradient(seen.kinetic_energy, w),
-        force=forces.tau + ca.gradient(seen.kinetic_energy - seen.potential_energy, q),
-        position=ca.vertcat(*(r.position for r in rods)),
-        moment_arm=ca.vertcat(*(r.arm for r in rods)),
-    )
+
+    drives: tuple[Subsystem, ...]
+    manipulator: Subsystem
+
+    @cached_property
+    def joints(self) -> dict[str, JointModel]:
+        """The joints with a coordinate, by name."""
+        return {j.name: j for j in self.manipulator.model.free}
+
+    @cached_property
+    def angles(self) -> tuple[str, ...]:
+        """The coordinates of the joints."""
+        return tuple(f"{self.manipulator.name}.{j.coordinate}" for j in self.joints.values())
+
+    @cached_property
+    def pressures(self) -> dict[str, tuple[str, str]]:
+        """Of both chambers of each driven joint."""
+        found = dict[str, tuple[str, str]]()
+        for n, j in self.joints.items():
+            for sub in self.drives:
+                a, b = (f"{n}_{end}" for end in (LINES if j.motor else CHAMBERS))
+                if a in quantities(sub.states):
+                    found[n] = f"{sub.name}.{a}", f"{sub.name}.{b}"
+        return found
+
+    @cached_property
+    def cylinders(self) -> list[str]:
+        """The joints with a cylinder."""
+        return [n for n, j in self.joints.items() if j.drive]
+
+    @cached_property
+    def signals(self) -> dict[str, str]:
+        """All of them with their SI units: angles, then pressures."""
+        units = [quantities(self.manipulator.states)[n.partition(".")[2]].unit for n in self.angles]
+        every = [n for both in self.pressures.values() for n in both]
+        return dict(zip(self.angles, units, strict=True)) | dict.fromkeys(every, "Pa")
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Of all parts."""
+        parts = (*self.drives, self.manipulator)
+        return tuple(f"{sub.name}.{n}" for sub in parts for n in quantities(sub.parameters))
+
+    def damping(self, joint: str) -> str:
+        """Parameter of the viscous friction of its piston, or of the joint."""
+        own = f"{self.manipulator.name}.{joint}_piston_damping"
+        return own if own in self.parameters else own.replace("_piston", "")
+
+    def index(self, joint: str) -> int:
+        """Of a joint among all."""
+        return [*self.joints].index(joint)
+
+    def vector(self, parameters: Mapping[str, Number]) -> Array:
+        """The values of `parameters` in their order."""
+        return np.array([parameter_value(parameters, name) for name in self.parameters])
+
+    def parameters_of(self, sub: Subsystem, p: ca.SX) -> Any:
+        """Those of a part among all; one that is 0 is derived from the others."""
+        rows = [self.parameters.index(f"{sub.name}.{n}") for n in quantities(sub.parameters)]
+        return with_derived(sub, unstack(sub.parameters, p[rows]))
+
+    @cached_property
+    def equations(self) -> SimpleNamespace:
+        """The equations of motion at measured pressures: symbols, and expressions in them.
+
+        q, w, pressures, tank, p   coordinates, speeds, measured pressures, that of the tank, `parameters`
+        momentum, force            h and f of the joints, shape (n, 1)
+        position, moment_arm       of the pistons of the cylinders, shape (c, 1)
+        """
+        of_pressures = [n for n in self.signals if n not in self.angles]
+        q, w, tank = ca.SX.sym("q", len(self.joints)), ca.SX.sym("w", len(self.joints)), ca.SX.sym("tank")
+        pressures, p = ca.SX.sym("pressure", len(of_pressures)), ca.SX.sym("p", len(self.parameters))
+        measured = {name.partition(".")[2]: pressures[k] for k, name in enumerate(of_pressures)}
+        measured |= {j.coordinate: q[k] for k, j in enumerate(self.joints.values())}
+        measured |= {f"{j}_speed": w[k] for k, j in enumerate(self.joints)}
+        # the tip's own mass includes what it holds; forces at measured pressures are those at any temperature
+        measured |= {"tank_pressure": tank, "held_mass": ca.SX(0), "payload_flow": ca.SX(0)}
+        measured["oil_temperature"] = ca.SX(oil.REFERENCE)
+        applied = {f"tip_force_{n}": ca.SX(0) for n in "xyz"}
+        for sub in self.drives:
+            x, u = (at(group, measured) for group in (sub.states, sub.inputs))
+            seen = sub.observe(x, u, self.parameters_of(sub, p))
+            applied |= {n: x for n, x in flat(seen).items() if n.endswith(("_force", "_torque"))}
+        arm = self.manipulator
+        of_arm = at(arm.states, measured), at(arm.inputs, applied), self.parameters_of(arm, p)
+        seen = flat(arm.observe(*of_arm))
+        forces = replace(arm.model, dry=None).forces(*of_arm)  # dry friction is an unknown
+        rods = [piston.transmission for piston in forces.pistons.values()]
+        kinetic = seen["kinetic_energy"]
+        return SimpleNamespace(
+            **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p},
+            momentum=ca.gradient(kinetic, w),
+            force=forces.tau + ca.gradient(kinetic - seen["potential_energy"], q),
+            position=ca.vertcat(*(r.position for r in rods)),
+            moment_arm=ca.vertcat(*(r.arm for r in rods)),
+        )
+
+    @cached_property
+    def pistons(self) -> ca.Function:
+        """(q, p) -> positions and moment arms of the cylinders, each (c, n), of samples in columns."""
+        e = self.equations
+        return ca.Function("pistons", [e.q, e.p], [e.position, e.moment_arm])
 
 
-def _at(group: type[Any], values: Mapping[str, ca.SX]) -> Any:
+HARVESTER = MeasuredArm((SWING, BOOM_STICK), MANIPULATOR)
+JOINTS, ANGLES, PRESSURES = tuple(HARVESTER.joints), HARVESTER.angles, HARVESTER.pressures
+SIGNALS, PARAMETERS = HARVESTER.signals, HARVESTER.parameters
+ALL_PRESSURES = tuple(n for n in SIGNALS if n not in ANGLES)
+
+
+def at(group: type[Any], values: Mapping[str, ca.SX]) -> Any:
     """A group at these values, and symbols for its other fields, on which nothing here depends."""
     return nested(group, {**flat(symbols(group)), **values})
 
 
-def _parameters_of(sub: Subsystem, p: ca.SX) -> Any:
-    """The parameters of a subsystem among those of the machine; one that is 0 is derived from the others."""
-    rows = [PARAMETERS.index(f"{sub.name}.{n}") for n in quantities(sub.parameters)]
-    return with_derived(sub, unstack(sub.parameters, p[rows]))
-
-
 @lru_cache(maxsize=16)
-def momentum_law(joint: str, theta: tuple[str, ...]) -> Law:
+def momentum_law(joint: str, theta: tuple[str, ...], arm: MeasuredArm) -> Law:
     """The balance of one joint with parameters theta as unknowns; the constants are p, tank, rounding.
 
-    Further unknowns are a dry friction and a constant force, which act on the speed of the swing or of the
+    Further unknowns are a dry friction and a constant force, which act on the speed of the shaft or of the
     piston: tau - J (F_c tanh(x' / rounding) + F_0).
     """
-    e, row = symbolic_equations(), JOINTS.index(joint)
+    e, row = arm.equations, arm.index(joint)
     unknowns, rounding = {n: ca.SX.sym("u") for n in (*theta, DRY, OFFSET)}, ca.SX.sym("rounding")
-    ratio = ca.vertcat(1, e.moment_arm)[row]
+    ratio = e.moment_arm[arm.cylinders.index(joint)] if joint in arm.cylinders else ca.SX(1)
     friction = unknowns[DRY] * ca.tanh(ratio * e.w[row] / rounding) + unknowns[OFFSET]
-    old, new = e.p[[PARAMETERS.index(n) for n in theta]], ca.vertcat(*(unknowns[n] for n in theta))
+    old, new = e.p[[arm.parameters.index(n) for n in theta]], ca.vertcat(*(unknowns[n] for n in theta))
     momentum, force = ca.substitute([e.momentum[row], e.force[row] - ratio * friction], [old], [new])
     known = ca.vertcat(e.p, e.tank, rounding)
     return balance.law(ca.vertcat(e.q, e.w, e.pressures), unknowns, known, force, momentum)
 
 
-@lru_cache(maxsize=1)
-def pistons() -> ca.Function:
-    """(q, p) -> positions and moment arms of boom and stick, each (2, n), of samples in columns."""
-    e = symbolic_equations()
-    return ca.Function("pistons", [e.q, e.p], [e.position, e.moment_arm])
-
-
-def speed_ratio(joint: str, q: Array, p: Array) -> Array:
-    """x' over the joint's speed at angles q (3 or more, n): 1 or the moment arm [m], shape (n,)."""
-    if joint == "swing":
+def speed_ratio(joint: str, q: Array, p: Array, arm: MeasuredArm = HARVESTER) -> Array:
+    """x' over the joint's speed at coordinates q (joints or more, n): 1 or the moment arm [m], shape (n,)."""
+    if joint not in arm.cylinders:
         return np.ones(q.shape[1])
-    moment_arms: Array = np.array(pistons()(q[:3], p)[1].full())
-    return np.array(moment_arms[JOINTS.index(joint) - 1])
+    moment_arms: Array = np.array(arm.pistons(q[: len(arm.joints)], p)[1].full())
+    return np.array(moment_arms[arm.cylinders.index(joint)])
 
 
-def needed_signals(joint: str) -> tuple[str, ...]:
+def needed_signals(joint: str, arm: MeasuredArm = HARVESTER) -> tuple[str, ...]:
     """The angles, and the pressures of this joint."""
-    return (*ANGLES, *PRESSURES[joint])
+    return (*arm.angles, *arm.pressures[joint])
 
 
 def filtered(
-    recording: Recording, joint: str, kernel: SavitzkyGolay
+    recording: Recording, joint: str, kernel: SavitzkyGolay, arm: MeasuredArm = HARVESTER
 ) -> tuple[Array, list[tuple[int, Array]], Array, Mask]:
     """The signals that the balance of a joint needs, through a filter: N samples, n filtered ones.
 
-    Samples without gaps, zero of pressures that are not needed, (9, N); sensor and filter of each row of z;
-    z: angles, speeds, pressures, (12, n); whether all samples under the filter are good, (n,).
+    Samples without gaps, zero of pressures that are not needed, (k, N); sensor and filter of each row of z;
+    z: angles, speeds, pressures; whether all samples under the filter are good, (n,).
     """
-    names, none = needed_signals(joint), np.zeros(recording.time.size)
-    raw = np.array([recording.interpolated(n) if n in names else none for n in SIGNALS])
+    names, none = needed_signals(joint, arm), np.zeros(recording.time.size)
+    raw = np.array([recording.interpolated(n) if n in names else none for n in arm.signals])
     value, derivative, _ = kernel.weights
-    channels = [(k, weights) for weights in (value, derivative) for k in range(3)]
-    channels += [(k, value) for k in range(3, len(raw))]
+    channels = [(k, weights) for weights in (value, derivative) for k in range(len(arm.joints))]
+    channels += [(k, value) for k in range(len(arm.joints), len(raw))]
     z = np.array([np.correlate(raw[k], weights, "valid") for k, weights in channels])
     good: Mask = np.asarray(sliding_window_view(good_all(recording, names), kernel.size).all(axis=1))
     return raw, channels, z, good
+
+
+def smoothing(recording: Recording, window: float = WINDOW) -> tuple[SavitzkyGolay, dict[str, Any]]:
+    """The filter of all signals; rate, bump and slope of `Samples`, the bump of some length [s].
+
+    Raises Problem if the recording is too short.
+    """
+    rate = uniform_rate(recording)
+    kernel = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
+    half = max(round(window * rate / 2), 2) + 1
+    if (count := recording.time.size) < (shortest := 2 * half + kernel.size):
+        raise Problem(f"{recording.source}: {count} samples, expected {shortest} or more for the filters")
+    bump, slope = balance.modulating_function(half, rate)
+    return kernel, {"rate": rate, "bump": bump, "slope": slope}
 
 
 def joint_samples(
@@ -170,6 +243,7 @@ def joint_samples(
     window: float = WINDOW,
     slow: float = 0.0,
     rounding: float = 1.0,
+    arm: MeasuredArm = HARVESTER,
 ) -> Samples:
     """A recording for the balance of one joint.
 
@@ -177,42 +251,27 @@ def joint_samples(
     slow       rms speeds below which a sample is left out
     rounding   rms speeds over which the sign of the dry friction is rounded
     """
-    rate = uniform_rate(recording)
-    kernel = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
-    half = max(round(window * rate / 2), 2) + 1
-    bump, slope = balance.modulating_function(half, rate)
-    shortest = 2 * half + kernel.size
-    if recording.time.size < shortest:
-        raise Problem(
-            f"{recording.source}: {recording.time.size} samples, expected {shortest} or more for the filters"
-        )
-    raw, channels, z, good = filtered(recording, joint, kernel)
-    used = needed_signals(joint)
-    strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
-    position: Array = np.array(pistons()(z[:3], p)[0].full())
+    kernel, windows = smoothing(recording, window)
+    size = windows["bump"].size
+    raw, channels, z, good = filtered(recording, joint, kernel, arm)
+    used, count = needed_signals(joint, arm), len(arm.joints)
+    strokes = np.array([p[arm.parameters.index(f"manipulator.{j}_stroke")] for j in arm.cylinders])[:, None]
+    position: Array = np.array(arm.pistons(z[:count], p)[0].full())
     good &= np.all((position >= STOP_MARGIN) & (position <= strokes - STOP_MARGIN), axis=0)
-    speed = speed_ratio(joint, z, p) * z[3 + JOINTS.index(joint)]
+    speed = speed_ratio(joint, z, p, arm) * z[count + arm.index(joint)]
     rms = float(np.sqrt(np.mean(speed**2)))
-    if not balance.window_starts(good, bump.size).size:
-        raise Problem(
-            f"{recording.source}: expected {shortest / rate:.2g} s without a gap or "
-            f"clipped sample in {', '.join(used)}, got no such stretch"
-        )
-    noise = np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])
+    if not balance.window_starts(good, size).size:
+        shortest = f"{(size + 1 + kernel.size) / windows['rate']:.2g} s"
+        expected = f"expected {shortest} without a gap or clipped sample in {', '.join(used)}"
+        raise Problem(f"{recording.source}: {expected}, got no such stretch")
+    noise = np.array([noise_sd(recording, n) if n in used else 0.0 for n in arm.signals])
     known = [*p, tank_pressure(recording), max(rounding * rms, 1e-9)]
     return replace(
-        balance.samples_of(momentum_law(joint, theta), SIGNALS, raw, noise, known),
+        balance.samples_of(momentum_law(joint, theta, arm), arm.signals, raw, noise, known),
+        **windows,
         channels=channels,
-        rate=rate,
-        bump=bump,
-        slope=slope,
-        starts=balance.window_starts(good & (np.abs(speed) >= slow * rms), bump.size),
+        starts=balance.window_starts(good & (np.abs(speed) >= slow * rms), size),
     )
-
-
-def parameter_vector(parameters: Mapping[str, Number]) -> Array:
-    """The machine's parameters in the order of `PARAMETERS`."""
-    return np.array([parameter_value(parameters, name) for name in PARAMETERS])
 
 
 @dataclass(frozen=True)

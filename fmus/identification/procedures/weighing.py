@@ -60,7 +60,7 @@ class Weighed:
     def of(cls, tests: Recordings, parameters: Parameters) -> "Weighed":
         masses = tuple(f"payload[{r.source.stem}]" for r in tests)
         return cls(
-            momentum.parameter_vector(parameters), masses, tuple(data.stated(r, "payload") for r in tests)
+            momentum.HARVESTER.vector(parameters), masses, tuple(data.stated(r, "payload") for r in tests)
         )
 
     @property

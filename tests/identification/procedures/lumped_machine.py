@@ -15,7 +15,7 @@ from orchestrator.data.recording import Sensor
 
 STEP = 0.005  # 200 Hz as the paper's
 KNOWN = {f"{s.name}.{n}": v for s in FERIC.subsystems.values() for n, v in complete(s)["parameters"].items()}
-P = momentum_balance.parameter_vector(KNOWN)
+P = momentum_balance.HARVESTER.vector(KNOWN)
 V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}  # what two parts have is equal
 ENCODER = Sensor("encoder of 65536 counts", 0.0, 2 * np.pi / 65536)
 PRESSURE = Sensor("pressure transducer", 1e4, 4e7 / 4096, 0.0, 4e7)

@@ -33,7 +33,7 @@ def hydraulics(pressures, speed):
 
 def test_the_balance_is_the_machine_s_equation_of_motion():
     """With the accelerations of the manipulator's own dynamics f - dh/dt is zero at any state."""
-    e, a = momentum_balance.symbolic_equations(), ca.SX.sym("a", 3)
+    e, a = momentum_balance.HARVESTER.equations, ca.SX.sym("a", 3)
     rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, a)
     balance = ca.Function("balance", [e.q, e.w, a, e.pressures, e.tank, e.p], [e.force - rate])
     model, random = symbolic(MANIPULATOR).function(), np.random.default_rng(1)

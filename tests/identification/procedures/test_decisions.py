@@ -129,7 +129,7 @@ def test_an_end_stop_acts_within_two_millimetres():
     """Samples of a piston 1 mm from its end are left out, those at 3 mm are used."""
     record, p = lumped_machine.recording("boom", length=4.0), lumped_machine.P.copy()
     angles = np.array([record[n] for n in momentum_balance.ANGLES])
-    position = np.array(momentum_balance.pistons()(angles, p)[0])[0]
+    position = np.array(momentum_balance.HARVESTER.pistons(angles, p)[0])[0]
     stroke = momentum_balance.PARAMETERS.index("manipulator.boom_stroke")
     used = []
     for gap in (0.1, 3e-3, 1e-3):
