@@ -35,12 +35,14 @@ from fmus.diagnosis.readings import Axis
 from fmus.diagnosis.unknowns import FRICTION, Unknown, masses_of, reference
 from fmus.parameters import values
 
-TORQUE, FORCE, HUNDRED = 1e4, 1e3, 100.0  # N.m, N, kg: scales
+TORQUE, FORCE, HUNDRED = 1e4, 1e4, 100.0  # N.m, N, kg: scales
 LAG = 0.25  # s, of torques: half a period of an arm on its oil; after 1.5 s less than 1 % of a change is left
 SLOW = 5e-3  # m/s, over which the sign of a speed is rounded
 LEFT = 0.05  # of a torque at the end of a stroke
 NOISE = 200.0  # N.m, s: of a torque
-CHANGED = 0.6  # hundred kg, from which a payload is another one
+SCATTERS = 2.0  # deviations of one reading that are no change
+SETTLING = 1.0  # s, four lags, in which the torque of a change comes
+CHANGED = 0.3  # hundred kg, from which a payload is another one
 FOLLOWED = 20.0  # s, in which the mean square of H follows
 STEADY, SWINGING, LARGEST = 30.0, 300.0, 1e3  # N, root of that mean square: at least, at the start, at most
 JUMPED = 9.0  # times the mean square: what counts of a larger force, which may be a change of payload
@@ -48,6 +50,8 @@ STROKE = 6.0  # lags, for which an error of the force lasts
 END = 0.01  # m, from the end of a stroke
 NEVER = 1e-9  # 1/s, a weight of nothing
 ERROR = 5.0  # kg, what masses that are off add to a deviation: 1 % of the arm, after the tare
+HELD = 6.0  # s, for which a payload is the same
+DRIFT, FAULT = 0.05, 10.0  # of FORCE: of a cylinder by its readings, 1 bar; with a sensor that is wrong
 MEMORY = 1.5  # s: a period of a head that swings, whose force has half of it; a change fades faster
 TARE_MEMORY = 300.0  # s, all of the healthy work from which it is learned
 BALANCE_MEMORY = 30.0  # s, some strokes of the swing, which tells a slope from a sensor
@@ -101,6 +105,7 @@ class Balance:
     torque    beyond that of the empty arm
     columns   torque per size: payload, masses of the arm, friction
     lever     of a horizontal force at the tip [m]
+    zero      of a force of its cylinder, its lever [m]
     tilts     by a slope per rad: of the empty arm, of a kilogram of payload
     held      by dry friction of which the direction is not known, because the piston rests
     """
@@ -109,6 +114,7 @@ class Balance:
     torque: Scalar
     columns: Mapping[str, Scalar]
     lever: Scalar
+    zero: Scalar
     tilts: tuple[Scalar, Scalar]
     held: Scalar
 
@@ -139,7 +145,7 @@ def balance(a: Axis, efforts: Efforts) -> Balance:
     force = a.lever * a.actuator.force(*a.pressures)
     torque = counts * m.lag("torque", force, LAG, "Torque of the cylinder", "N.m") - columns.pop("empty")
     lever = counts * m.lag("late_arm", a.radial, LAG, "Lever of a horizontal force at the tip", "m")
-    return Balance(counts, torque, columns, lever, (empty, load), held)
+    return Balance(counts, torque, columns, lever, zero, (empty, load), held)
 
 
 def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
@@ -158,46 +164,51 @@ def weighed(
 
     slewing   angle of the column [rad]
     """
-    count = sum(b.counts for b in balances)
+    count, cylinders = sum(b.counts for b in balances), range(len(balances))
     trust = [NOISE / ca.sqrt(NOISE**2 + b.held**2) for b in balances]
-    signals = ((b.torque, b.lever, b.columns["payload"], *b.tilts, b.held) for b in balances)
-    torque, h, load, empty_tilt, load_tilt, held = (
+    signals = ((b.torque, b.lever, b.columns["payload"], *b.tilts, b.zero) for b in balances)
+    torque, h, load, empty_tilt, load_tilt, zero = (
         ca.vertcat(*(t * v for t, v in zip(trust, column, strict=True)))
         for column in zip(*signals, strict=True)
     )
     mean = m.state("horizontal_square", "Mean square of a horizontal force at the tip", "N2", SWINGING**2)
-    square, along = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2), (ca.cos(slewing), ca.sin(slewing))
-    length = ca.sumsqr(h) + 1e-9
-    of_load = Fit(m, "payload", [(20.0, 0.0)], NOISE / TORQUE, 0.1)
-    of_force = Fit(m, "weighing", [(20, 0), (p.slope, 0), (p.slope, 0)], 0.01, 0.5, 0.5, weighed=True)
-    ((size, off),) = of_load.sizes
-    (force, off_force), *slope = of_force.sizes
+    square = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2)
+    free, noise = [(p.slope, 0), (p.slope, 0), (20.0, 0.0)], (NOISE / TORQUE, 0.1)
+    of_load = Fit(m, "payload", [*((DRIFT, 0) for _ in cylinders), *free], *noise, weighed=True)
+    of_fault = Fit(
+        m, "payload", [*((FAULT, 0) for _ in cylinders), *free], *noise, rare=len(balances), signed=True, weighed=True
+    )
+    *_, (size, off) = of_load.sizes
     off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)
-    tilt = sum(c * v for c, (v, _) in zip(along, slope, strict=True))
-    # the payload, without the tare and the slope; what is unknown fades always, and faster at a change
+    # the payload, without the tare; what is known of it is forgotten at a change
     rows = ca.diag(ca.vertcat(*trust)) @ ca.vertcat(
         *(ca.horzcat(*(b.columns.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances)
     )
     left = torque - rows @ ca.vertcat(*(reference(n, p) for n in tare))
-    table = ca.horzcat(HUNDRED * (load + tilt * load_tilt), left - tilt * empty_tilt) / TORQUE
-    calm = without_horizontal(table, h, square)
-    known = sum(c**2 for (c,), _ in calm) + 1e-9
-    change = sum(c * y for (c,), y in calm) / known - size
-    fading = (1 + change**2 / (CHANGED**2 + (NOISE / TORQUE) ** 2 / known)) / MEMORY
-    memory = 1 / ca.fmin(ca.if_else(count > 0, fading, 1 / MEMORY), 1 / LAG)
-    any_counts = whether(count > 0)
-    of_load.adds(any_counts / LAG + NEVER, calm, memory, any_counts)
-    # the horizontal force, by what the payload leaves; one cylinder alone cannot tell it from a payload
-    both, horizontal = whether(count > 1), ca.dot(h, left - HUNDRED * size * load) / length
+    tilt = empty_tilt + HUNDRED * size * load_tilt
+    slopes = ca.cos(slewing) * tilt, ca.sin(slewing) * tilt
+    table = ca.horzcat(FORCE * ca.diag(zero), *slopes, HUNDRED * load, left) / TORQUE
+    calm, others = without_horizontal(table, h, square), [v for v, _ in of_load.sizes[:-1]]
+    known = sum(c[-1] ** 2 for c, _ in calm) + 1e-9
+    rest = [(c[-1], y - sum(v * s for v, s in zip(c, others, strict=False))) for c, y in calm]
+    change = sum(c * y for c, y in rest) / known - size
+    # a change is more than the scatter of single readings
+    large = change**2 / (CHANGED**2 + SCATTERS**2 * of_load.solution[2] / known)
+    changed = m.state("changed", "1: the payload has changed; fades")
+    m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / SETTLING))
+    changes = 1 / HELD + changed / LAG + large**2 / MEMORY
+    any_counts, both = whether(count > 0), whether(count > 1)
+    changes = any_counts * ca.fmin(changes, 0.5 / QUICK)
+    of_load.adds(any_counts / LAG, calm, BALANCE_MEMORY, any_counts, changes)
+    # what is left is a horizontal force; one cylinder alone cannot tell it from a payload
+    sizes = ca.vertcat(*(v for v, _ in of_load.sizes))
+    horizontal = TORQUE * ca.dot(h, table @ ca.vertcat(-sizes, 1)) / (ca.sumsqr(h) + 1e-9)
     m.moves("horizontal_square", both * (ca.fmin(horizontal**2, JUMPED * square) - mean) / FOLLOWED)
-    variance = NOISE**2 / length + (HUNDRED * off * ca.dot(h, load) / length) ** 2
-    share = ca.dot(h, empty_tilt + HUNDRED * size * load_tilt) / length / FORCE
-    weight = both / (1 + variance / FORCE**2) / (STROKE * LAG)
-    of_force.adds(weight, [([1, *(share * c for c in along)], horizontal / FORCE)], BALANCE_MEMORY)
-    held = ca.sumsqr(h * held) / length**2 / FORCE**2
-    held = m.lag("held", held, FOLLOWED, "Mean square of a horizontal force held by friction", zero=True)
-    force, off_force = FORCE * force, FORCE * ca.sqrt(off_force**2 + held)
-    state = judged(ca.fabs(force), off_force, p.weighing_limit, whether(of_force.samples > FEWEST))
+    wrong = [(ca.fabs(FORCE * v), FORCE * d) for v, d in of_fault.sizes[: len(balances)]]
+    enough = whether(of_fault.samples > FEWEST)
+    states = [judged(v, d, p.weighing_limit, enough) for v, d in wrong]
+    force, off_force = (ca.mmax(ca.vertcat(*column)) for column in zip(*wrong, strict=True))
+    state = ca.mmax(ca.vertcat(*states))
     # the tare
     scales = [u.prior for u in tare.values()]
     priors = [(1.0, reference(n, p) / scale) for n, scale in zip(tare, scales, strict=True)]
