@@ -77,7 +77,7 @@ def _map_equation(a: Axis, healthy: Scalar) -> tuple[Scalar, Equations]:
     columns = [up * size, -up, (1 - up) * size, up - 1, -way * ca.sign(gone), -more, -change]
     right = v.dead_band + opened - a.reference(HOSE) * more
     expected = sum(c * a.reference(n) for c, n in zip(columns, MAP, strict=True))
-    a.compared = counts, -by_pressure, right - expected
+    a.compared = counts, opened, nearness, right - expected
     return counts, [(columns, right)]
 
 

@@ -11,13 +11,15 @@ the ends of a stroke.
 H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. A head that swings has
 one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its mean
 square (generalised least squares with the covariance s^2 I + H^2 h h^T). s is larger of a cylinder at rest,
-whose dry friction F has a direction that is not known. The mean of H is zero, as what hangs
-pulls down; if not, a pressure or an angle is wrong, or the machine stands on a slope. Gravity on a slope of a
-small angle is that of an arm turned by this angle in its plane, which varies with the slewing angle s:
+whose dry friction F has a direction that is not known.
 
-    H = f + k (a cos(s) + b sin(s))        k = sum(h d(e_0 + m e_m)/dq_1) / sum(h^2)
-
-f is what is left. Without slewing they cannot be told apart, and the deviation of f says so.
+**One fit** has what is left without the tare: the payload m, a change Z_i of the force of each cylinder that
+its load does not need, and the slope a, b of the ground. Gravity on a slope of a small angle is that of an arm
+turned by this angle in its plane, by a cos(s) + b sin(s) at the slewing angle s. The payload is kept until it
+changes, by more than single readings scatter: then what is known of it is forgotten, and not what is known of
+the others. So postures in which one payload is carried tell it from a wrong pressure: it loads all cylinders,
+each by its own lever. At most one pressure is wrong, that of the largest likelihood ratio; the payload itself
+is weighed with pressures that drift by no more than `DRIFT`.
 """
 
 from __future__ import annotations
@@ -40,21 +42,18 @@ LAG = 0.25  # s, of torques: half a period of an arm on its oil; after 1.5 s les
 SLOW = 5e-3  # m/s, over which the sign of a speed is rounded
 LEFT = 0.05  # of a torque at the end of a stroke
 NOISE = 200.0  # N.m, s: of a torque
-SCATTERS = 2.0  # deviations of one reading that are no change
-SETTLING = 1.0  # s, four lags, in which the torque of a change comes
-CHANGED = 0.3  # hundred kg, from which a payload is another one
 FOLLOWED = 20.0  # s, in which the mean square of H follows
 STEADY, SWINGING, LARGEST = 30.0, 300.0, 1e3  # N, root of that mean square: at least, at the start, at most
 JUMPED = 9.0  # times the mean square: what counts of a larger force, which may be a change of payload
-STROKE = 6.0  # lags, for which an error of the force lasts
 END = 0.01  # m, from the end of a stroke
-NEVER = 1e-9  # 1/s, a weight of nothing
 ERROR = 5.0  # kg, what masses that are off add to a deviation: 1 % of the arm, after the tare
-HELD = 6.0  # s, for which a payload is the same
-DRIFT, FAULT = 0.05, 10.0  # of FORCE: of a cylinder by its readings, 1 bar; with a sensor that is wrong
-MEMORY = 1.5  # s: a period of a head that swings, whose force has half of it; a change fades faster
+HELD = 6.0  # s, for which a payload is kept: some periods of a head that swings
+CHANGED, SCATTERS = 0.3, 2.0  # hundred kg, and deviations of a reading, from which a payload is another one
+SETTLING = 1.0  # s, four lags, in which the torque of another payload comes
+SURE = 1.5  # s, in which it is forgotten where it has changed by both
+DRIFT, FAULT = 0.05, 10.0  # of FORCE: of a cylinder by its readings, 0.5 bar; by a wrong pressure
 TARE_MEMORY = 300.0  # s, all of the healthy work from which it is learned
-BALANCE_MEMORY = 30.0  # s, some strokes of the swing, which tells a slope from a sensor
+BALANCE_MEMORY = 30.0  # s, some strokes of the swing, which tell a slope from a sensor
 
 Efforts = Mapping[str, tuple[Scalar, Scalar, Scalar]]  # by "empty", "payload", names of masses
 OfReadings = Callable[[Any], Mapping[str, Efforts]]  # by axis
@@ -160,11 +159,11 @@ def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
 def weighed(
     balances: Sequence[Balance], slewing: Scalar, tare: Mapping[str, Unknown], m: States, p: Any
 ) -> tuple[tuple[Scalar, Scalar], dict[str, Told]]:
-    """Payload with its deviation [kg]; the horizontal force, and the tare.
+    """Payload with its deviation [kg]; the force of a wrong pressure, and the tare.
 
     slewing   angle of the column [rad]
     """
-    count, cylinders = sum(b.counts for b in balances), range(len(balances))
+    count, cylinders = sum(b.counts for b in balances), len(balances)
     trust = [NOISE / ca.sqrt(NOISE**2 + b.held**2) for b in balances]
     signals = ((b.torque, b.lever, b.columns["payload"], *b.tilts, b.zero) for b in balances)
     torque, h, load, empty_tilt, load_tilt, zero = (
@@ -174,10 +173,9 @@ def weighed(
     mean = m.state("horizontal_square", "Mean square of a horizontal force at the tip", "N2", SWINGING**2)
     square = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2)
     free, noise = [(p.slope, 0), (p.slope, 0), (20.0, 0.0)], (NOISE / TORQUE, 0.1)
-    of_load = Fit(m, "payload", [*((DRIFT, 0) for _ in cylinders), *free], *noise, weighed=True)
-    of_fault = Fit(
-        m, "payload", [*((FAULT, 0) for _ in cylinders), *free], *noise, rare=len(balances), signed=True, weighed=True
-    )
+    of_load = Fit(m, "payload", [*((DRIFT, 0) for _ in range(cylinders)), *free], *noise, weighed=True)
+    loose = [*((FAULT, 0) for _ in range(cylinders)), *free]  # the same sums by other priors
+    of_fault = Fit(m, "payload", loose, *noise, rare=cylinders, signed=True, weighed=True)
     *_, (size, off) = of_load.sizes
     off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)
     # the payload, without the tare; what is known of it is forgotten at a change
@@ -196,7 +194,7 @@ def weighed(
     large = change**2 / (CHANGED**2 + SCATTERS**2 * of_load.solution[2] / known)
     changed = m.state("changed", "1: the payload has changed; fades")
     m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / SETTLING))
-    changes = 1 / HELD + changed / LAG + large**2 / MEMORY
+    changes = 1 / HELD + changed / LAG + large**2 / SURE
     any_counts, both = whether(count > 0), whether(count > 1)
     changes = any_counts * ca.fmin(changes, 0.5 / QUICK)
     of_load.adds(any_counts / LAG, calm, BALANCE_MEMORY, any_counts, changes)
@@ -204,10 +202,11 @@ def weighed(
     sizes = ca.vertcat(*(v for v, _ in of_load.sizes))
     horizontal = TORQUE * ca.dot(h, table @ ca.vertcat(-sizes, 1)) / (ca.sumsqr(h) + 1e-9)
     m.moves("horizontal_square", both * (ca.fmin(horizontal**2, JUMPED * square) - mean) / FOLLOWED)
-    wrong = [(ca.fabs(FORCE * v), FORCE * d) for v, d in of_fault.sizes[: len(balances)]]
+    wrong = [(ca.fabs(FORCE * v), FORCE * d) for v, d in of_fault.sizes[:cylinders]]
     enough = whether(of_fault.samples > FEWEST)
     states = [judged(v, d, p.weighing_limit, enough) for v, d in wrong]
-    force, off_force = (ca.mmax(ca.vertcat(*column)) for column in zip(*wrong, strict=True))
+    force, spread = sum(v for v, _ in wrong), ca.mmax(ca.vertcat(*(d for _, d in wrong)))
+    off_force = ca.if_else(force > 0, sum(d * whether(v > 0) for v, d in wrong), spread)
     state = ca.mmax(ca.vertcat(*states))
     # the tare
     scales = [u.prior for u in tare.values()]
