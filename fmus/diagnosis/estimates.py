@@ -134,7 +134,7 @@ class Fit:
     ) -> None:
         """Rates of the sums; weight [1/s], memory [s]; count: of equations, without it all.
 
-        changes   rate [1/s] at which the last size is forgotten, but not what is known of the others without it
+        changes   rate [1/s] at which the last size is forgotten, not what is known of the others without it
         """
         terms = [sum(c[i] * c[j] for c, _ in equations) for i, j in self.products]
         terms += [sum(c[i] * y for c, y in equations) for i in range(self.size)]
@@ -143,9 +143,7 @@ class Fit:
         end = self.size - 1
         last = [*(self.sums[f"{i}_{end}"] for i in range(self.size)), self.sums[f"{end}_y"]]
         share = changes / ca.fmax(last[-2], 1e-9)
-        by_last = [last[i] * last[j] for i, j in self.products]
-        by_last += [last[i] * last[-1] for i in range(self.size)]
-        by_last += [last[-1] ** 2, 0]
+        by_last = [last[i] * last[j] for i, j in self.products] + [v * last[-1] for v in last] + [0]
         for (key, total), term, gone in zip(self.sums.items(), terms, by_last, strict=True):
             self.m.moves(f"{self.name}_{key}", weight * term - fade * total - share * gone)
 

@@ -28,7 +28,7 @@ from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities, s
 from fmus.controller.arm import Arm
 from fmus.controller.gains import gains
 from fmus.diagnosis import losses, unknowns, valves, weight
-from fmus.diagnosis.estimates import FEWEST, QUICK, SAMPLING, Fit, States, Told, either, judged, shown, whether
+from fmus.diagnosis.estimates import FEWEST, SAMPLING, Fit, States, Told, either, judged, shown, whether
 from fmus.diagnosis.readings import PRESSURE, Axis, outside
 from fmus.diagnosis.unknowns import LINES, LITRE, Unknown, reference, signals_of
 from fmus.parameters import Number
@@ -102,6 +102,7 @@ class Diagnosis:
         cold = m.lag("cold", cold, SAMPLING, "1: the oil is too cold for the return filter")
         constant = 1 - either(*(a.compensated for a in axes))  # the pump does not follow the load
         known, learned = reference("return_resistance", p) * FLOW / BAR, reference("pump_pressure", p)
+        sound = ca.mmin(ca.vertcat(*(a.sound for a in axes)))
         fits, late = dict[str, Fit](), dict[str, tuple[Scalar, Scalar]]()
         for n, way, counts, memory, priors, least, rough in (
             ("tank", -1, 1, valves.SLOW_MEMORY, ((10, known), (10, 4.0)), 0.1, 0.5),
@@ -111,8 +112,8 @@ class Diagnosis:
             flow = m.lag(f"late_{n}_flow", flow, LAG, f"Flow of the {n} line", "m3/s", True)
             pressure = m.lag(f"late_{n}", getattr(u, f"{n}_pressure"), LAG, f"Pressure of the {n} line", "Pa")
             fits[n], late[n] = Fit(m, n, priors, least, rough), (flow, pressure)
-            weight = counts * ca.mmin(ca.vertcat(*(a.sound for a in axes))) * whether(flow > WORKING) / LAG
-            fits[n].adds(weight, [([flow / FLOW, 1], pressure / BAR)], memory)
+            counts *= sound * whether(flow > WORKING)
+            fits[n].adds(counts / LAG, [([flow / FLOW, 1], pressure / BAR)], memory)
         size, off = (BAR / FLOW * v for v in fits["tank"].sizes[0])
         enough = whether(fits["tank"].samples > FEWEST)
         state = judged(size - known * BAR / FLOW, off, p.return_limit, enough * (1 - cold))
@@ -120,8 +121,9 @@ class Diagnosis:
         usual, (level, off) = reference("return_pressure", p), (BAR * v for v in fits["tank"].sizes[1])
         flow, pressure = late["tank"]
         time = m.state("return_other", "Time without flow for which the return pressure is another one", "s")
+        runs = sound * whether(flow < WORKING) * whether(u.supply_pressure > losses.STOPPED)
         other = whether(ca.fabs(pressure - usual) > p.zero_limit) * whether(ca.fabs(usual) > 0)
-        m.moves("return_other", whether(flow < WORKING) * (other - (1 - other) * time / QUICK))
+        m.moves("return_other", runs * (other - (1 - other) * time / SAMPLING))
         told["return_pressure"] = level, off, ca.if_else(time > FLOWLESS, 1, enough - 1)
         size, off = (BAR * v for v in fits["supply"].along(PUMP_FLOW / FLOW, 1))
         enough = whether(fits["supply"].samples > 3 * FEWEST) * whether(learned > 0)
@@ -143,10 +145,10 @@ class Diagnosis:
         other = whether(time > 0)
         fit = Fit(m, "supply_error", [(1, 0)], valves.ROUGH, 2 * valves.ROUGH)
         rows, count = list[tuple[list[Scalar], Scalar]](), 0
-        for weight, opened, nearness, right in (a.compared for a in axes):
+        for counted, opened, nearness, right in (a.compared for a in axes):
             explained = opened * (1 - 1 / ca.sqrt(ca.fmax(1 - change / PRESSURE * nearness, NARROW)))
-            rows.append(([ca.sqrt(weight) * explained], ca.sqrt(weight) * right))
-            count += weight
+            rows.append(([ca.sqrt(counted) * explained], ca.sqrt(counted) * right))
+            count += counted
         fit.adds(other / valves.WINDOW, rows, valves.SLOW_MEMORY, count)
         ((share, off),) = fit.sizes
         wrong = ca.fmax(judged(share, off, 0.5, whether(fit.samples > FEWEST)), 0) * whether(time > LASTING)

@@ -13,11 +13,11 @@ one of half its weight, and it acts on all cylinders at once; so equations count
 square (generalised least squares with the covariance s^2 I + H^2 h h^T). s is larger of a cylinder at rest,
 whose dry friction F has a direction that is not known.
 
-**One fit** has what is left without the tare: the payload m, a change Z_i of the force of each cylinder that
-its load does not need, and the slope a, b of the ground. Gravity on a slope of a small angle is that of an arm
-turned by this angle in its plane, by a cos(s) + b sin(s) at the slewing angle s. The payload is kept until it
-changes, by more than single readings scatter: then what is known of it is forgotten, and not what is known of
-the others. So postures in which one payload is carried tell it from a wrong pressure: it loads all cylinders,
+**One fit** has what is left without the tare: the payload m, a force Z_i of each cylinder that its load does
+not need, and the slope a, b of the ground. Gravity on a slope of a small angle is that of an arm turned by
+this angle in its plane, by a cos(s) + b sin(s) at the slewing angle s. The payload is kept until it changes,
+by more than single readings scatter: then what is known of it is forgotten, not what is known of the others.
+So postures in which one payload is carried tell it from a wrong pressure: it loads all cylinders,
 each by its own lever. At most one pressure is wrong, that of the largest likelihood ratio; the payload itself
 is weighed with pressures that drift by no more than `DRIFT`.
 """

@@ -408,7 +408,7 @@ def test_a_force_is_as_uncertain_as_the_slope_without_slewing(outputs):
 
 
 def test_a_return_pressure_is_another_one_beyond_the_zero_of_a_sensor(fmu):
-    """After 5 s without flow, of the first of which its lag of 0.3 s is none: 2.9 bar more is none, 3.1 is."""
+    """After 5 s without flow: 2.9 bar more is none, 3.1 is."""
     time = np.arange(0, 8, 0.01)
     set_ = {"diagnosis.return_pressure_reference": 4e5}
     for pressure, low, high in ((6.9e5, np.inf, np.inf), (7.1e5, 4.9, 5.1)):
