@@ -25,7 +25,6 @@ is weighed with pressures that drift by no more than `DRIFT`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -96,30 +95,17 @@ def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfRead
     return efforts
 
 
-@dataclass(frozen=True)
-class Balance:
-    """Torques of one cylinder, behind the lag [N.m]; all zero if it does not count.
+def balance(a: Axis, efforts: Efforts) -> Mapping[str, Scalar]:
+    """Of one cylinder, behind the lag [N.m]; all zero if it does not count.
 
     counts    1: it is usable
     torque    beyond that of the empty arm
-    columns   torque per size: payload, masses of the arm, friction
+    payload, masses of the arm, friction   per size
     lever     of a horizontal force at the tip [m]
     zero      of a force of its cylinder, its lever [m]
-    tilts     by a slope per rad: of the empty arm, of a kilogram of payload
+    empty_tilt, payload_tilt   by a slope per rad: of the empty arm, of a kilogram of payload
     held      by dry friction of which the direction is not known, because the piston rests
     """
-
-    counts: Scalar
-    torque: Scalar
-    columns: Mapping[str, Scalar]
-    lever: Scalar
-    zero: Scalar
-    tilts: tuple[Scalar, Scalar]
-    held: Scalar
-
-
-def balance(a: Axis, efforts: Efforts) -> Balance:
-    """Of the function."""
     m, speed, columns = a.m, a.lever * a.readings[1], dict[str, Scalar]()
     stroke = getattr(a.p, a.axis.name).stroke
     blocked = m.state("blocked", "Share of the torque from a time at an end of the stroke")
@@ -137,14 +123,13 @@ def balance(a: Axis, efforts: Efforts) -> Balance:
     )
     columns |= {f"{a.axis.name}_{n}": v for n, v in zip(FRICTION, (dry, damping, zero), strict=True)}
     held = a.reference(FRICTION[0]) * ca.sqrt(ca.fmax(zero**2 - dry**2, 0) / 3)  # of an even distribution
-    empty, load = (
-        counts * m.lag(f"{n}_tilt", efforts[n][2], LAG, f"Torque by a slope, {n}", "N.m/rad")
-        for n in ("empty", "payload")
-    )
+    for n in ("empty", "payload"):
+        tilt = m.lag(f"{n}_tilt", efforts[n][2], LAG, f"Torque by a slope, {n}", "N.m/rad")
+        columns[f"{n}_tilt"] = counts * tilt
     force = a.lever * a.actuator.force(*a.pressures)
-    torque = counts * m.lag("torque", force, LAG, "Torque of the cylinder", "N.m") - columns.pop("empty")
+    torque = counts * m.lag("torque", force, LAG, "Torque of the cylinder", "N.m") - columns["empty"]
     lever = counts * m.lag("late_arm", a.radial, LAG, "Lever of a horizontal force at the tip", "m")
-    return Balance(counts, torque, columns, lever, zero, (empty, load), held)
+    return columns | {"counts": counts, "torque": torque, "lever": lever, "zero": zero, "held": held}
 
 
 def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
@@ -157,18 +142,17 @@ def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
 
 
 def weighed(
-    balances: Sequence[Balance], slewing: Scalar, tare: Mapping[str, Unknown], m: States, p: Any
+    balances: Sequence[Mapping[str, Scalar]], slewing: Scalar, tare: Mapping[str, Unknown], m: States, p: Any
 ) -> tuple[tuple[Scalar, Scalar], dict[str, Told]]:
     """Payload with its deviation [kg]; the force of a wrong pressure, and the tare.
 
     slewing   angle of the column [rad]
     """
-    count, cylinders = sum(b.counts for b in balances), len(balances)
-    trust = [NOISE / ca.sqrt(NOISE**2 + b.held**2) for b in balances]
-    signals = ((b.torque, b.lever, b.columns["payload"], *b.tilts, b.zero) for b in balances)
+    count, cylinders = sum(b["counts"] for b in balances), len(balances)
+    trust = ca.vertcat(*(NOISE / ca.sqrt(NOISE**2 + b["held"] ** 2) for b in balances))
     torque, h, load, empty_tilt, load_tilt, zero = (
-        ca.vertcat(*(t * v for t, v in zip(trust, column, strict=True)))
-        for column in zip(*signals, strict=True)
+        trust * ca.vertcat(*(b[n] for b in balances))
+        for n in ("torque", "lever", "payload", "empty_tilt", "payload_tilt", "zero")
     )
     mean = m.state("horizontal_square", "Mean square of a horizontal force at the tip", "N2", SWINGING**2)
     square = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2)
@@ -179,9 +163,8 @@ def weighed(
     *_, (size, off) = of_load.sizes
     off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)
     # the payload, without the tare; what is known of it is forgotten at a change
-    rows = ca.diag(ca.vertcat(*trust)) @ ca.vertcat(
-        *(ca.horzcat(*(b.columns.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances)
-    )
+    own = (ca.horzcat(*(b.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances)
+    rows = ca.diag(trust) @ ca.vertcat(*own)
     left = torque - rows @ ca.vertcat(*(reference(n, p) for n in tare))
     tilt = empty_tilt + HUNDRED * size * load_tilt
     slopes = ca.cos(slewing) * tilt, ca.sin(slewing) * tilt
