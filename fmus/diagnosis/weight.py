@@ -9,8 +9,8 @@ viscous D, with the force Z that the zeros of their pressures make. It is learne
 the ends of a stroke.
 
 H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. A head that swings has
-one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its mean
-square (generalised least squares with the covariance s^2 I + H^2 h h^T). s is larger of a cylinder at rest,
+one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its
+variance (generalised least squares with the covariance s^2 I + H^2 h h^T). s is larger of a cylinder at rest,
 whose dry friction F has a direction that is not known.
 
 **One fit** has what is left without the tare: the payload m, a force Z_i of each cylinder that its load does
@@ -41,9 +41,10 @@ LAG = 0.25  # s, of torques: half a period of an arm on its oil; after 1.5 s les
 SLOW = 5e-3  # m/s, over which the sign of a speed is rounded
 LEFT = 0.05  # of a torque at the end of a stroke
 NOISE = 200.0  # N.m, s: of a torque
-FOLLOWED = 20.0  # s, in which the mean square of H follows
-STEADY, SWINGING, LARGEST = 30.0, 300.0, 1e3  # N, root of that mean square: at least, at the start, at most
-JUMPED = 9.0  # times the mean square: what counts of a larger force, which may be a change of payload
+FOLLOWED = 20.0  # s, in which the variance of H follows
+SWINGS = 3.0  # s, in which a head swings: a force that lasts is no scatter, but a wrong pressure or a slope
+STEADY, SWINGING, LARGEST = 30.0, 300.0, 1e3  # N, root of that variance: at least, at the start, at most
+JUMPED = 9.0  # times the variance: what counts of a larger force, which may be a change of payload
 END = 0.01  # m, from the end of a stroke
 ERROR = 5.0  # kg, what masses that are off add to a deviation: 1 % of the arm, after the tare
 HELD = 6.0  # s, for which a payload is kept: some periods of a head that swings
@@ -154,7 +155,7 @@ def weighed(
         trust * ca.vertcat(*(b[n] for b in balances))
         for n in ("torque", "lever", "payload", "empty_tilt", "payload_tilt", "zero")
     )
-    mean = m.state("horizontal_square", "Mean square of a horizontal force at the tip", "N2", SWINGING**2)
+    mean = m.state("horizontal_square", "Variance of a horizontal force at the tip", "N2", SWINGING**2)
     square = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2)
     free, noise = [(p.slope, 0), (p.slope, 0), (20.0, 0.0)], (NOISE / TORQUE, 0.1)
     of_load = Fit(m, "payload", [*((DRIFT, 0) for _ in range(cylinders)), *free], *noise, weighed=True)
@@ -180,11 +181,15 @@ def weighed(
     changes = 1 / HELD + changed / LAG + large**2 / SURE
     any_counts, both = whether(count > 0), whether(count > 1)
     changes = any_counts * ca.fmin(changes, 0.5 / QUICK)
-    of_load.adds(any_counts / LAG, calm, BALANCE_MEMORY, any_counts, changes)
+    # it may be the begin of a fault, so all that was known before counts less
+    memory = 1 / (1 / BALANCE_MEMORY + changed / SETTLING)
+    of_load.adds(any_counts / LAG, calm, memory, any_counts, changes)
     # what is left is a horizontal force; one cylinder alone cannot tell it from a payload
     sizes = ca.vertcat(*(v for v, _ in of_load.sizes))
     horizontal = TORQUE * ca.dot(h, table @ ca.vertcat(-sizes, 1)) / (ca.sumsqr(h) + 1e-9)
-    m.moves("horizontal_square", both * (ca.fmin(horizontal**2, JUMPED * square) - mean) / FOLLOWED)
+    lasting = m.lag("horizontal", both * horizontal, SWINGS, "Horizontal force at the tip", "N", True)
+    off_mean = ca.fmin((horizontal - lasting) ** 2, JUMPED * square)
+    m.moves("horizontal_square", both * (off_mean - mean) / FOLLOWED)
     wrong = [(ca.fabs(FORCE * v), FORCE * d) for v, d in of_fault.sizes[:cylinders]]
     enough = whether(of_fault.samples > FEWEST)
     states = [judged(v, d, p.weighing_limit, enough) for v, d in wrong]
