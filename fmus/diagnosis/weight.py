@@ -16,7 +16,8 @@ whose dry friction F has a direction that is not known.
 **One fit** has what is left without the tare: the payload m, a force Z_i of each cylinder that its load does
 not need, and the slope a, b of the ground. Gravity on a slope of a small angle is that of an arm turned by
 this angle in its plane, by a cos(s) + b sin(s) at the slewing angle s. The payload is kept until it changes,
-by more than single readings scatter: then what is known of it is forgotten, not what is known of the others.
+by more than single readings scatter: then what is known of it is forgotten, and of the others two thirds, as
+it may be the begin of a fault. While nothing can be weighed it is forgotten in `HELD`, and its deviation grows.
 So postures in which one payload is carried tell it from a wrong pressure: it loads all cylinders,
 each by its own lever. At most one pressure is wrong, that of the largest likelihood ratio; the payload itself
 is weighed with pressures that drift by no more than `DRIFT`.
@@ -31,7 +32,7 @@ import casadi as ca
 
 from fmus.contract import Scalar, Subsystem, flat, nested, quantities
 from fmus.controller.arm import ControlledAxis
-from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, States, Told, judged, whether
+from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, States, Told, either, judged, whether
 from fmus.diagnosis.readings import Axis
 from fmus.diagnosis.unknowns import FRICTION, Unknown, masses_of, reference
 from fmus.parameters import values
@@ -180,10 +181,9 @@ def weighed(
     m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / SETTLING))
     changes = 1 / HELD + changed / LAG + large**2 / SURE
     any_counts, both = whether(count > 0), whether(count > 1)
-    changes = any_counts * ca.fmin(changes, 0.5 / QUICK)
     # it may be the begin of a fault, so all that was known before counts less
     memory = 1 / (1 / BALANCE_MEMORY + changed / SETTLING)
-    of_load.adds(any_counts / LAG, calm, memory, any_counts, changes)
+    of_load.adds(any_counts / LAG, calm, memory, any_counts, ca.fmin(changes, 0.5 / QUICK))
     # what is left is a horizontal force; one cylinder alone cannot tell it from a payload
     sizes = ca.vertcat(*(v for v, _ in of_load.sizes))
     horizontal = TORQUE * ca.dot(h, table @ ca.vertcat(-sizes, 1)) / (ca.sumsqr(h) + 1e-9)
@@ -195,7 +195,7 @@ def weighed(
     states = [judged(v, d, p.weighing_limit, enough) for v, d in wrong]
     force, spread = sum(v for v, _ in wrong), ca.mmax(ca.vertcat(*(d for _, d in wrong)))
     off_force = ca.if_else(force > 0, sum(d * whether(v > 0) for v, d in wrong), spread)
-    state = ca.mmax(ca.vertcat(*states))
+    state = ca.if_else(either(*states) > 0, 1, ca.mmin(ca.vertcat(*states)))  # none: of all cylinders
     # the tare
     scales = [u.prior for u in tare.values()]
     priors = [(1.0, reference(n, p) / scale) for n, scale in zip(tare, scales, strict=True)]
