@@ -56,7 +56,7 @@ def test_what_is_not_certain_is_no_size():
         a = RNG.normal(size=(20, 2))
         fit = fitted(a, RNG.normal(size=20), [(100, 0)] * 2, 1.0, 1.0, rare=1)
         found.append([float(size) != 0 for size, _ in fit.sizes])
-    # one side of three deviations: 0.13 %
+    # one side of 4.75 deviations: 1e-6
     assert np.mean(found, axis=0) == pytest.approx([0, 1], abs=0.015)
 
 
@@ -146,7 +146,7 @@ def test_what_is_forgotten_of_one_size_takes_nothing_from_the_others():
 
 
 def test_states_of_a_finding():
-    """1 above the limit by three deviations, 0 below, -1 if the deviation is too large or it is unusable."""
+    """1 above the limit by 4.75 deviations, 0 below, -1 if the deviation is too large or it is unusable."""
     cases = (2, 0.1, 1, 1), (1.2, 0.1, 1, 1), (2, 1.1, 1, 1), (2, 0.1, 1, 0)
     assert [float(judged(*case)) for case in cases] == [1, 0, -1, -1]
 
