@@ -171,10 +171,9 @@ def weighed(
     tilt = empty_tilt + HUNDRED * size * load_tilt
     slopes = ca.cos(slewing) * tilt, ca.sin(slewing) * tilt
     table = ca.horzcat(FORCE * ca.diag(zero), *slopes, HUNDRED * load, left) / TORQUE
-    calm, others = without_horizontal(table, h, square), [v for v, _ in of_load.sizes[:-1]]
+    calm, sizes = without_horizontal(table, h, square), ca.vertcat(*(v for v, _ in of_load.sizes))
     known = sum(c[-1] ** 2 for c, _ in calm) + 1e-9
-    rest = [(c[-1], y - sum(v * s for v, s in zip(c, others, strict=False))) for c, y in calm]
-    change = sum(c * y for c, y in rest) / known - size
+    change = sum(c[-1] * (y - ca.dot(ca.vertcat(*c), sizes)) for c, y in calm) / known
     # a change is more than the scatter of single readings
     large = change**2 / (CHANGED**2 + SCATTERS**2 * of_load.solution[2] / known)
     changed = m.state("changed", "1: the payload has changed; fades")
@@ -185,7 +184,6 @@ def weighed(
     memory = 1 / (1 / BALANCE_MEMORY + changed / SETTLING)
     of_load.adds(any_counts / LAG, calm, memory, any_counts, ca.fmin(changes, 0.5 / QUICK))
     # what is left is a horizontal force; one cylinder alone cannot tell it from a payload
-    sizes = ca.vertcat(*(v for v, _ in of_load.sizes))
     horizontal = TORQUE * ca.dot(h, table @ ca.vertcat(-sizes, 1)) / (ca.sumsqr(h) + 1e-9)
     lasting = m.lag("horizontal", both * horizontal, SWINGS, "Horizontal force at the tip", "N", True)
     off_mean = ca.fmin((horizontal - lasting) ** 2, JUMPED * square)
