@@ -17,10 +17,10 @@ whose dry friction F has a direction that is not known.
 not need, and the slope a, b of the ground. Gravity on a slope of a small angle is that of an arm turned by
 this angle in its plane, by a cos(s) + b sin(s) at the slewing angle s. The payload is kept until it changes,
 by more than single readings scatter: then what is known of it is forgotten, and of the others two thirds, as
-it may be the begin of a fault. While nothing can be weighed it is forgotten in `HELD`, and its deviation grows.
-So postures in which one payload is carried tell it from a wrong pressure: it loads all cylinders,
-each by its own lever. At most one pressure is wrong, that of the largest likelihood ratio; the payload itself
-is weighed with pressures that drift by no more than `DRIFT`.
+it may be the begin of a fault. While nothing can be weighed it is forgotten in `HELD`, and its deviation
+grows. So postures in which one payload is carried tell it from a wrong pressure: it loads all cylinders, each
+by its own lever. At most one pressure is wrong, that of the largest likelihood ratio; the payload itself is
+weighed with pressures that drift by no more than `DRIFT`.
 """
 
 from __future__ import annotations

@@ -419,8 +419,8 @@ def test_no_pressure_is_wrong_only_if_that_is_known_of_all_cylinders(outputs):
 def test_a_payload_is_less_and_less_certain_while_nothing_is_weighed(fmu):
     """Without a supply pressure for two times `HELD` = 6 s: its own deviation grows by e.
 
-    On level ground; of 9.5 kg at the begin 7.4 are drifts of pressures and `ERROR`, which do not grow. Half or
-    twice of the time make 4.7 or 1.3 times as much.
+    On level ground; of 9.5 kg at the begin 7.4 are drifts of pressures and `ERROR`, which do not grow. Half
+    or twice of the time make 4.7 or 1.3 times as much.
     """
     time = np.arange(0, 20, 0.01)
     columns = {n: np.full(len(time), v[0]) for n, v in constant().items()}
