@@ -100,7 +100,8 @@ class Fit:
     least    standard deviation of the right side, at least
     rough    that before any data
     most     that at most: what differs more is a change
-    rare     whether all sizes but the last one are faults, of which there is one at most
+    rare     how many of the first sizes are faults, of which there is one at most
+    signed   whether such a fault may be negative
     weighed  whether a prior counts by the deviation that the right side turns out to have, not the least one
     """
 
@@ -110,7 +111,8 @@ class Fit:
     least: float
     rough: float
     most: float = math.inf
-    rare: bool = False
+    rare: int = 0
+    signed: bool = False
     weighed: bool = False
 
     def __post_init__(self) -> None:
@@ -122,14 +124,28 @@ class Fit:
         self.sums = {k: self.m.state(f"{self.name}_{k}", f"{text} {k}") for k in keys}
         self.samples = self.sums["w"]  # in the memory
 
-    def adds(self, weight: Scalar, equations: Equations, memory: Scalar, count: Scalar | None = None) -> None:
-        """Rates of the sums; weight [1/s], memory [s]; count: of equations, without it all."""
+    def adds(
+        self,
+        weight: Scalar,
+        equations: Equations,
+        memory: Scalar,
+        count: Scalar | None = None,
+        changes: Scalar = 0,
+    ) -> None:
+        """Rates of the sums; weight [1/s], memory [s]; count: of equations, without it all.
+
+        changes   rate [1/s] at which the last size is forgotten, not what is known of the others without it
+        """
         terms = [sum(c[i] * c[j] for c, _ in equations) for i, j in self.products]
         terms += [sum(c[i] * y for c, y in equations) for i in range(self.size)]
         terms += [sum(y * y for _, y in equations), len(equations) if count is None else count]
         fade = ca.if_else(weight > 0, 1 / memory, 0)
-        for (key, total), term in zip(self.sums.items(), terms, strict=True):
-            self.m.moves(f"{self.name}_{key}", weight * term - fade * total)
+        end = self.size - 1
+        last = [*(self.sums[f"{i}_{end}"] for i in range(self.size)), self.sums[f"{end}_y"]]
+        share = changes / ca.fmax(last[-2], 1e-9)
+        by_last = [last[i] * last[j] for i, j in self.products] + [v * last[-1] for v in last] + [0]
+        for (key, total), term, gone in zip(self.sums.items(), terms, by_last, strict=True):
+            self.m.moves(f"{self.name}_{key}", weight * term - fade * total - share * gone)
 
     def centre(self, k: int) -> list[Scalar]:
         """Mean of the columns, where the column k is -1 and not 0: what is known best along it."""
@@ -147,7 +163,7 @@ class Fit:
             n[i, i] += weight
             squares += weight * reference**2
         if self.rare:
-            found, inverse = self._most_likely(n, b)
+            found, inverse = self._most_likely(n, b, spread)
         else:
             factors = ca.ldl(ca.densify(n))
             inverse = ca.ldl_solve(ca.SX.eye(self.size), *factors)
@@ -157,38 +173,42 @@ class Fit:
         variance = (residual + DOUBT * self.rough**2) / (self.samples + DOUBT)
         return found, inverse, ca.fmin(ca.fmax(variance, self.least**2), self.most**2)
 
-    def _most_likely(self, n: ca.SX, b: ca.SX) -> tuple[list[Scalar], ca.SX]:
-        """Least squares with one of the first sizes, not negative, or none of them; variances on a diagonal.
+    def _most_likely(self, n: ca.SX, b: ca.SX, spread: Scalar) -> tuple[list[Scalar], ca.SX]:
+        """Least squares with one of the first sizes, or none of them; variances on a diagonal.
 
         Faults are rare: a leak of one side is no leak of the seals with one of the other side. By the
         generalised likelihood ratio the one is told that lessens the sum of squares most, by more than
-        `CERTAIN` deviations. The last size, which is free, is eliminated.
+        `CERTAIN` deviations. The other sizes, which are free, are eliminated.
         """
-        free = self.size - 1
-        alone = [n[k, k] - n[k, free] ** 2 / n[free, free] for k in range(free)]
-        right = [b[k] - n[k, free] * b[free] / n[free, free] for k in range(free)]
-        gains = [ca.fmax(r, 0) ** 2 / v for r, v in zip(right, alone, strict=True)]
-        best = ca.fmax(ca.mmax(ca.vertcat(*gains)), (CERTAIN * self.least) ** 2)
+        rare = range(self.rare)
+        factors = ca.ldl(ca.densify(n[self.rare :, self.rare :]))
+        columns, sums = n[self.rare :, : self.rare], b[self.rare :]
+        without, free = ca.ldl_solve(columns, *factors), ca.ldl_solve(sums, *factors)
+        alone = [n[k, k] - ca.dot(columns[:, k], without[:, k]) for k in rare]
+        right = [b[k] - ca.dot(without[:, k], sums) for k in rare]
+        gains = [(r if self.signed else ca.fmax(r, 0)) ** 2 / v for r, v in zip(right, alone, strict=True)]
+        best = ca.fmax(ca.mmax(ca.vertcat(*gains)), (CERTAIN * spread) ** 2)
         sizes = [ca.if_else(g >= best, r / v, 0) for g, r, v in zip(gains, right, alone, strict=True)]
-        left = b[free] - sum(n[k, free] * size for k, size in enumerate(sizes))
-        return [*sizes, left / n[free, free]], ca.diag(1 / ca.vertcat(*alone, n[free, free]))
+        left = free - without @ ca.vertcat(*sizes)
+        inverse = ca.ldl_solve(ca.SX.eye(self.size - self.rare), *factors)
+        return [*sizes, *ca.vertsplit(left)], ca.diagcat(*(1 / v for v in alone), inverse)
 
     @cached_property
-    def solution(self) -> tuple[list[Scalar], ca.SX]:
-        """Sizes, and their covariance."""
+    def solution(self) -> tuple[list[Scalar], ca.SX, Scalar]:
+        """Sizes, their covariance, variance of the right side."""
         spread = ca.sqrt(self._solved(self.least)[2]) if self.weighed else self.least
         found, inverse, variance = self._solved(spread)
-        return found, variance * inverse
+        return found, variance * inverse, variance
 
     @property
     def sizes(self) -> list[tuple[Scalar, Scalar]]:
         """Each size with its deviation."""
-        found, covariance = self.solution
+        found, covariance, _ = self.solution
         return [(s, ca.sqrt(ca.fmax(covariance[i, i], 0))) for i, s in enumerate(found)]
 
     def along(self, *weights: Scalar) -> tuple[Scalar, Scalar]:
         """A sum of sizes with these weights, and its deviation."""
-        w, (found, covariance) = ca.vertcat(*weights), self.solution
+        w, (found, covariance, _) = ca.vertcat(*weights), self.solution
         return ca.dot(w, ca.vertcat(*found)), ca.sqrt(ca.fmax(w.T @ covariance @ w, 0))
 
 

@@ -144,7 +144,7 @@ def leaks(a: Axis) -> dict[str, Told]:
     usable = a.usable * (1 - a.spool)
     foam, healthy = TABLE["axis"]["air"].prior, a.reference("air")
     airy = foam if a.axis.turns else AIRY  # hoses of a motor
-    fit = Fit(a.m, "leaks", [*[(LEAK, 0)] * 4, (airy, 0)], 0.5, 1.0, MOST, rare=True)
+    fit = Fit(a.m, "leaks", [*[(LEAK, 0)] * 4, (airy, 0)], 0.5, 1.0, MOST, rare=4)
     trapped = Fit(a.m, "trapped", [(foam, healthy)], 1.0, 4.0)
     for one, memory, size in ((fit, p.memory, 5), (trapped, AIR_MEMORY, 1)):
         own, time = [(c[-size:], y) for c, y in equations], QUICK / (1 - ca.exp(-1 / memory))

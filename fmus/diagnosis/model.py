@@ -40,6 +40,8 @@ PUMP_MEMORY = 600.0  # s: a pump wears over months, its pressure changes from st
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
 SUPPLY_OFF = 5e5  # Pa, from which a supply pressure is another one
 LASTING = 10.0  # s, of strokes, for which it is one: a pump that is short of flow recovers
+FLOWLESS = 5.0  # s, without flow, for which a return pressure is one
+NARROW = 0.1  # of the drop over an edge, which is left of it at least
 COMPARED = 100.0  # s, in which valves show whether it is that of a wrong sensor
 # s, 1: what the lag of a valve is off by the manner of its operator, and the air of a function
 DELAY_OFF, AIR_OFF = 2.5e-3, 3e-3
@@ -100,6 +102,7 @@ class Diagnosis:
         cold = m.lag("cold", cold, SAMPLING, "1: the oil is too cold for the return filter")
         constant = 1 - either(*(a.compensated for a in axes))  # the pump does not follow the load
         known, learned = reference("return_resistance", p) * FLOW / BAR, reference("pump_pressure", p)
+        sound = ca.mmin(ca.vertcat(*(a.sound for a in axes)))
         fits, late = dict[str, Fit](), dict[str, tuple[Scalar, Scalar]]()
         for n, way, counts, memory, priors, least, rough in (
             ("tank", -1, 1, valves.SLOW_MEMORY, ((10, known), (10, 4.0)), 0.1, 0.5),
@@ -109,16 +112,19 @@ class Diagnosis:
             flow = m.lag(f"late_{n}_flow", flow, LAG, f"Flow of the {n} line", "m3/s", True)
             pressure = m.lag(f"late_{n}", getattr(u, f"{n}_pressure"), LAG, f"Pressure of the {n} line", "Pa")
             fits[n], late[n] = Fit(m, n, priors, least, rough), (flow, pressure)
-            weight = counts * ca.mmin(ca.vertcat(*(a.sound for a in axes))) * whether(flow > WORKING) / LAG
-            fits[n].adds(weight, [([flow / FLOW, 1], pressure / BAR)], memory)
+            counts *= sound * whether(flow > WORKING)
+            fits[n].adds(counts / LAG, [([flow / FLOW, 1], pressure / BAR)], memory)
         size, off = (BAR / FLOW * v for v in fits["tank"].sizes[0])
         enough = whether(fits["tank"].samples > FEWEST)
         state = judged(size - known * BAR / FLOW, off, p.return_limit, enough * (1 - cold))
         told["return_resistance"] = size, off, state
-        level, off = (BAR * v for v in fits["tank"].sizes[1])
-        usual = reference("return_pressure", p)
-        state = judged(ca.fabs(level - usual), off, p.zero_limit, enough * whether(ca.fabs(usual) > 0))
-        told["return_pressure"] = level, off, ca.if_else(usual == 0, enough - 1, state)
+        usual, (level, off) = reference("return_pressure", p), (BAR * v for v in fits["tank"].sizes[1])
+        flow, pressure = late["tank"]
+        time = m.state("return_other", "Time without flow for which the return pressure is another one", "s")
+        runs = sound * whether(flow < WORKING) * whether(u.supply_pressure > losses.STOPPED)
+        other = whether(ca.fabs(pressure - usual) > p.zero_limit) * whether(ca.fabs(usual) > 0)
+        m.moves("return_other", runs * (other - (1 - other) * time / SAMPLING))
+        told["return_pressure"] = level, off, ca.if_else(time > FLOWLESS, 1, enough - 1)
         size, off = (BAR * v for v in fits["supply"].along(PUMP_FLOW / FLOW, 1))
         enough = whether(fits["supply"].samples > 3 * FEWEST) * whether(learned > 0)
         told["pump_pressure"] = size, off, judged(learned - size, off, p.pump_limit, enough)
@@ -130,22 +136,22 @@ class Diagnosis:
     def _other_supply(self, m: States, axes: list[Axis], change: Scalar, told: dict[str, Told]) -> None:
         """A supply pressure that is another one [Pa] is that of a wrong sensor if valves seem to be others.
 
-        All of them by the same error of the pressure, which is the change or none: the limit is half of it.
+        What they need more of their command than before is explained by the change or not: the limit is half.
         As long as it is another one the maps of valves are not told. The pump is, but not at once: until
         then strokes have shown what valves say.
         """
         counts = whether(ca.fabs(change) > SUPPLY_OFF)
         time = m.sum("supply_other", "Time for which the supply pressure is another one", 1, counts)
         other = whether(time > 0)
-        fit = Fit(m, "supply_error", [(100 * BAR / PRESSURE, 0)], valves.ROUGH, 2 * valves.ROUGH)
-        weights, columns, rights = zip(*(a.compared for a in axes), strict=True)
-        rows = [([w * c], w * y) for w, c, y in zip(map(ca.sqrt, weights), columns, rights, strict=True)]
-        fit.adds(other / valves.WINDOW, rows, valves.SLOW_MEMORY, sum(weights))
-        ((size, off),) = fit.sizes
-        error, limit = PRESSURE * size * ca.sign(change), ca.fabs(change) / 2
-        wrong = whether(time > LASTING) * ca.fmax(
-            judged(error, PRESSURE * off, limit, whether(fit.samples > FEWEST)), 0
-        )
+        fit = Fit(m, "supply_error", [(1, 0)], valves.ROUGH, 2 * valves.ROUGH)
+        rows, count = list[tuple[list[Scalar], Scalar]](), 0
+        for counted, opened, nearness, right in (a.compared for a in axes):
+            explained = opened * (1 - 1 / ca.sqrt(ca.fmax(1 - change / PRESSURE * nearness, NARROW)))
+            rows.append(([ca.sqrt(counted) * explained], ca.sqrt(counted) * right))
+            count += counted
+        fit.adds(other / valves.WINDOW, rows, valves.SLOW_MEMORY, count)
+        ((share, off),) = fit.sizes
+        wrong = ca.fmax(judged(share, off, 0.5, whether(fit.samples > FEWEST)), 0) * whether(time > LASTING)
         hidden = {f"{a.axis.name}_{n}": other for a in axes for n in unknowns.MAP[:4]}
         hidden["pump_pressure"] = either(wrong, other * whether(time < COMPARED))
         for n, hides in hidden.items():

@@ -64,11 +64,12 @@ class Axis:
     speeds   1: the readings of all speeds are usable
     stopped  1: a stroke has just ended
     doubted  1: of each reading, it may be one that stands still
-    compared   weight and equation of an error of the supply pressure, over `PRESSURE`
+    compared   of a reading of the valve: weight, part of its command that opens it [V], `PRESSURE` over the
+               drop of the edge, what it needs more than the healthy valve [V]
     margin   least drop of the supply pressure to a chamber that is filled, of all functions [Pa]
     """
 
-    compared: tuple[Scalar, Scalar, Scalar] = (0, 0, 0)
+    compared: tuple[Scalar, Scalar, Scalar, Scalar] = (0, 0, 0, 0)
     speeds: Scalar = 1
     margin: Scalar = NO_DROP
     least_drop: Scalar = NO_DROP

@@ -7,17 +7,19 @@ it to a tenth. Not of compensated sections, whose counterbalance valves are in s
 **Map.** The flow into the chamber that is filled, the drop over its edge and the hose in series give the
 opening, and this the command v that a healthy valve needs for it:
 
-    a = q/(K sqrt(dP - f dp(q))), of a compensated section q/q_0        v = D + a (U - D)
+    a = q sqrt(1 + Q_t/q)/(K sqrt(dP - f dp(q))), of a compensated section q/q_0        v = D + a (U - D)
     v = s |u| - d - h m - T |u|'
 
-with the drop dp of the hose, warm or cold (`hose.Friction`), which the return edge has in series, too, the
-command u behind the lag of the readings, its gain s, the dead band D + d, half the hysteresis h, the sign m
-of its last change and a lag T; s and d of each direction. f is the share of the hose that lies between valve
-and sensor; v is linear in it. A sample counts if u has moved on by `TRAVEL` since it turned, the edge is
-open, no anti-cavitation valve is, and the drop over it is not small. It counts less by the error of v that
-the largest zero p_0 of a sensor makes, a (U - D) p_0/(2 (dP - f dp)): v is off by half of the share of a
-pressure in the drop. Of compensated sections the least drop of all that are open counts: they share the flow
-of a pump that cannot give more.
+with the flow Q_t at which an edge turns laminar (orifice.py), 2 to 4 % of q with oil of -8 degC, the drop dp
+of the hose, warm or cold (`hose.Friction`), which the return edge has in series, too, the command u behind
+the lag of the readings, its gain s, the dead band D + d, half the hysteresis h, the sign m of its last change
+and a lag T; s and d of each direction. f is the share of the hose that lies between valve and sensor; v is
+linear in it. Strokes of one temperature hardly tell it from s and d, so priors count by the scatter that v
+turns out to have. A sample counts if u has moved on by `TRAVEL` since it turned, the edge is open, no anti-
+cavitation valve is, and the drop over it is not small. It counts less by the error of v that the largest zero
+p_0 of a sensor makes, a (U - D) p_0/(2 (dP - f dp)): v is off by half of the share of a pressure in the drop.
+Of compensated sections the least drop of all that are open counts: they share the flow of a pump that cannot
+give more.
 
 Gain and dead band are judged together, by the mean of v over all samples of a direction. What is wrong in a
 single stroke may be its model, so it is a fault in the second stroke at whose end it is one. The lag is a
@@ -27,17 +29,20 @@ independent.
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
 
 from fmus.contract import Scalar
 from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, Told, judged, whether
 from fmus.diagnosis.losses import CALM
 from fmus.diagnosis.readings import LEAST_DROP, PRESSURE, TRAVEL, Axis
-from fmus.diagnosis.unknowns import EDGES, MAP, of_axis
+from fmus.diagnosis.unknowns import EDGES, LITRE, MAP, of_axis
 
 REGULATED = 1.8e6  # Pa, drop from which a compensated section holds its flow: 0.9 of the margin of the pump
 ROUGH = 0.15  # V, deviation of the command of an opening
 WHOLE = 1.0  # of the drop over the edge, up to which that of a hose counts in linear terms
+TRANSITION = 10.0  # Reynolds number of an edge at which both laws cross: 9.6 to 15.6, see orifice.py
 WINDOW = 0.15  # s, in which the command is one sample: five lags
 MEMORY = 2.0  # s of motion, over which older readings fade: some ten strokes
 SLOW_MEMORY = 60.0  # s, a minute of work
@@ -55,6 +60,9 @@ def _map_equation(a: Axis, healthy: Scalar) -> tuple[Scalar, Equations]:
     )
     filled = ca.if_else(up > 0, *a.pressures)  # at low pressure an anti-cavitation valve fills it as well
     share, size, gone = flow / full, ca.fabs(late), (late - a.trailing) / TRAVEL
+    size_of = ca.sqrt(math.pi / 4 * v.area * ca.fmax(share, 0))
+    laminar = TRANSITION * a.p.kinematic_viscosity * size_of * (1 - a.compensated)  # Q_t
+    share *= ca.sqrt(1 + laminar / ca.fmax(flow, LITRE))
     counts = (
         whether(size > v.dead_band + 0.3)
         * whether(size < 0.95 * v.full_command)
@@ -77,7 +85,7 @@ def _map_equation(a: Axis, healthy: Scalar) -> tuple[Scalar, Equations]:
     columns = [up * size, -up, (1 - up) * size, up - 1, -way * ca.sign(gone), -more, -change]
     right = v.dead_band + opened - a.reference(HOSE) * more
     expected = sum(c * a.reference(n) for c, n in zip(columns, MAP, strict=True))
-    a.compared = counts, -by_pressure, right - expected
+    a.compared = counts, opened, nearness, right - expected
     return counts, [(columns, right)]
 
 
@@ -104,7 +112,7 @@ def valve(a: Axis) -> dict[str, Told]:
     """A change of the map is one of the mean command of a direction, or of the hysteresis."""
     p, m, unknowns, told = a.p, a.m, of_axis(a.axis), dict[str, Told]()
     priors = {n: (unknowns[f"{a.axis.name}_{n}"].prior, a.reference(n)) for n in (*MAP, *EDGES)}
-    of_map = Fit(m, "valve", [priors[n] for n in MAP], 0.05, ROUGH)
+    of_map = Fit(m, "valve", [priors[n] for n in MAP], 0.05, ROUGH, weighed=True)
     of_edges = Fit(m, "edges", [priors[n] for n in EDGES], 0.1, 0.3)
     healthy, usable = a.sound * (1 - a.spool) * (1 - a.burst_told), a.usable * (1 - a.spool)
     counts, equations = _map_equation(a, healthy)

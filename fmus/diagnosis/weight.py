@@ -9,48 +9,52 @@ viscous D, with the force Z that the zeros of their pressures make. It is learne
 the ends of a stroke.
 
 H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. A head that swings has
-one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its mean
-square (generalised least squares with the covariance s^2 I + H^2 h h^T). s is larger of a cylinder at rest,
-whose dry friction F has a direction that is not known. The mean of H is zero, as what hangs
-pulls down; if not, a pressure or an angle is wrong, or the machine stands on a slope. Gravity on a slope of a
-small angle is that of an arm turned by this angle in its plane, which varies with the slewing angle s:
+one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its
+variance (generalised least squares with the covariance s^2 I + H^2 h h^T). s is larger of a cylinder at rest,
+whose dry friction F has a direction that is not known.
 
-    H = f + k (a cos(s) + b sin(s))        k = sum(h d(e_0 + m e_m)/dq_1) / sum(h^2)
-
-f is what is left. Without slewing they cannot be told apart, and the deviation of f says so.
+**One fit** has what is left without the tare: the payload m, a force Z_i of each cylinder that its load does
+not need, and the slope a, b of the ground. Gravity on a slope of a small angle is that of an arm turned by
+this angle in its plane, by a cos(s) + b sin(s) at the slewing angle s. The payload is kept until it changes,
+by more than single readings scatter: then what is known of it is forgotten, and of the others two thirds, as
+it may be the begin of a fault. While nothing can be weighed it is forgotten in `HELD`, and its deviation
+grows. So postures in which one payload is carried tell it from a wrong pressure: it loads all cylinders, each
+by its own lever. At most one pressure is wrong, that of the largest likelihood ratio; the payload itself is
+weighed with pressures that drift by no more than `DRIFT`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
 from fmus.contract import Scalar, Subsystem, flat, nested, quantities
 from fmus.controller.arm import ControlledAxis
-from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, States, Told, judged, whether
+from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, States, Told, either, judged, whether
 from fmus.diagnosis.readings import Axis
 from fmus.diagnosis.unknowns import FRICTION, Unknown, masses_of, reference
 from fmus.parameters import values
 
-TORQUE, FORCE, HUNDRED = 1e4, 1e3, 100.0  # N.m, N, kg: scales
+TORQUE, FORCE, HUNDRED = 1e4, 1e4, 100.0  # N.m, N, kg: scales
 LAG = 0.25  # s, of torques: half a period of an arm on its oil; after 1.5 s less than 1 % of a change is left
 SLOW = 5e-3  # m/s, over which the sign of a speed is rounded
 LEFT = 0.05  # of a torque at the end of a stroke
 NOISE = 200.0  # N.m, s: of a torque
-CHANGED = 0.6  # hundred kg, from which a payload is another one
-FOLLOWED = 20.0  # s, in which the mean square of H follows
-STEADY, SWINGING, LARGEST = 30.0, 300.0, 1e3  # N, root of that mean square: at least, at the start, at most
-JUMPED = 9.0  # times the mean square: what counts of a larger force, which may be a change of payload
-STROKE = 6.0  # lags, for which an error of the force lasts
+FOLLOWED = 20.0  # s, in which the variance of H follows
+SWINGS = 3.0  # s, in which a head swings: a force that lasts is no scatter, but a wrong pressure or a slope
+STEADY, SWINGING, LARGEST = 30.0, 300.0, 1e3  # N, root of that variance: at least, at the start, at most
+JUMPED = 9.0  # times the variance: what counts of a larger force, which may be a change of payload
 END = 0.01  # m, from the end of a stroke
-NEVER = 1e-9  # 1/s, a weight of nothing
 ERROR = 5.0  # kg, what masses that are off add to a deviation: 1 % of the arm, after the tare
-MEMORY = 1.5  # s: a period of a head that swings, whose force has half of it; a change fades faster
+HELD = 6.0  # s, for which a payload is kept: some periods of a head that swings
+CHANGED, SCATTERS = 0.3, 2.0  # hundred kg, and deviations of a reading, from which a payload is another one
+SETTLING = 1.0  # s, four lags, in which the torque of another payload comes
+SURE = 1.5  # s, in which it is forgotten where it has changed by both
+DRIFT, FAULT = 0.05, 10.0  # of FORCE: of a cylinder by its readings, 0.5 bar; by a wrong pressure
 TARE_MEMORY = 300.0  # s, all of the healthy work from which it is learned
-BALANCE_MEMORY = 30.0  # s, some strokes of the swing, which tells a slope from a sensor
+BALANCE_MEMORY = 30.0  # s, some strokes of the swing, which tell a slope from a sensor
 
 Efforts = Mapping[str, tuple[Scalar, Scalar, Scalar]]  # by "empty", "payload", names of masses
 OfReadings = Callable[[Any], Mapping[str, Efforts]]  # by axis
@@ -93,28 +97,17 @@ def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfRead
     return efforts
 
 
-@dataclass(frozen=True)
-class Balance:
-    """Torques of one cylinder, behind the lag [N.m]; all zero if it does not count.
+def balance(a: Axis, efforts: Efforts) -> Mapping[str, Scalar]:
+    """Of one cylinder, behind the lag [N.m]; all zero if it does not count.
 
     counts    1: it is usable
     torque    beyond that of the empty arm
-    columns   torque per size: payload, masses of the arm, friction
+    payload, masses of the arm, friction   per size
     lever     of a horizontal force at the tip [m]
-    tilts     by a slope per rad: of the empty arm, of a kilogram of payload
+    zero      of a force of its cylinder, its lever [m]
+    empty_tilt, payload_tilt   by a slope per rad: of the empty arm, of a kilogram of payload
     held      by dry friction of which the direction is not known, because the piston rests
     """
-
-    counts: Scalar
-    torque: Scalar
-    columns: Mapping[str, Scalar]
-    lever: Scalar
-    tilts: tuple[Scalar, Scalar]
-    held: Scalar
-
-
-def balance(a: Axis, efforts: Efforts) -> Balance:
-    """Of the function."""
     m, speed, columns = a.m, a.lever * a.readings[1], dict[str, Scalar]()
     stroke = getattr(a.p, a.axis.name).stroke
     blocked = m.state("blocked", "Share of the torque from a time at an end of the stroke")
@@ -132,14 +125,13 @@ def balance(a: Axis, efforts: Efforts) -> Balance:
     )
     columns |= {f"{a.axis.name}_{n}": v for n, v in zip(FRICTION, (dry, damping, zero), strict=True)}
     held = a.reference(FRICTION[0]) * ca.sqrt(ca.fmax(zero**2 - dry**2, 0) / 3)  # of an even distribution
-    empty, load = (
-        counts * m.lag(f"{n}_tilt", efforts[n][2], LAG, f"Torque by a slope, {n}", "N.m/rad")
-        for n in ("empty", "payload")
-    )
+    for n in ("empty", "payload"):
+        tilt = m.lag(f"{n}_tilt", efforts[n][2], LAG, f"Torque by a slope, {n}", "N.m/rad")
+        columns[f"{n}_tilt"] = counts * tilt
     force = a.lever * a.actuator.force(*a.pressures)
-    torque = counts * m.lag("torque", force, LAG, "Torque of the cylinder", "N.m") - columns.pop("empty")
+    torque = counts * m.lag("torque", force, LAG, "Torque of the cylinder", "N.m") - columns["empty"]
     lever = counts * m.lag("late_arm", a.radial, LAG, "Lever of a horizontal force at the tip", "m")
-    return Balance(counts, torque, columns, lever, (empty, load), held)
+    return columns | {"counts": counts, "torque": torque, "lever": lever, "zero": zero, "held": held}
 
 
 def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
@@ -152,52 +144,56 @@ def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
 
 
 def weighed(
-    balances: Sequence[Balance], slewing: Scalar, tare: Mapping[str, Unknown], m: States, p: Any
+    balances: Sequence[Mapping[str, Scalar]], slewing: Scalar, tare: Mapping[str, Unknown], m: States, p: Any
 ) -> tuple[tuple[Scalar, Scalar], dict[str, Told]]:
-    """Payload with its deviation [kg]; the horizontal force, and the tare.
+    """Payload with its deviation [kg]; the force of a wrong pressure, and the tare.
 
     slewing   angle of the column [rad]
     """
-    count = sum(b.counts for b in balances)
-    trust = [NOISE / ca.sqrt(NOISE**2 + b.held**2) for b in balances]
-    signals = ((b.torque, b.lever, b.columns["payload"], *b.tilts, b.held) for b in balances)
-    torque, h, load, empty_tilt, load_tilt, held = (
-        ca.vertcat(*(t * v for t, v in zip(trust, column, strict=True)))
-        for column in zip(*signals, strict=True)
+    count, cylinders = sum(b["counts"] for b in balances), len(balances)
+    trust = ca.vertcat(*(NOISE / ca.sqrt(NOISE**2 + b["held"] ** 2) for b in balances))
+    torque, h, load, empty_tilt, load_tilt, zero = (
+        trust * ca.vertcat(*(b[n] for b in balances))
+        for n in ("torque", "lever", "payload", "empty_tilt", "payload_tilt", "zero")
     )
-    mean = m.state("horizontal_square", "Mean square of a horizontal force at the tip", "N2", SWINGING**2)
-    square, along = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2), (ca.cos(slewing), ca.sin(slewing))
-    length = ca.sumsqr(h) + 1e-9
-    of_load = Fit(m, "payload", [(20.0, 0.0)], NOISE / TORQUE, 0.1)
-    of_force = Fit(m, "weighing", [(20, 0), (p.slope, 0), (p.slope, 0)], 0.01, 0.5, 0.5, weighed=True)
-    ((size, off),) = of_load.sizes
-    (force, off_force), *slope = of_force.sizes
+    mean = m.state("horizontal_square", "Variance of a horizontal force at the tip", "N2", SWINGING**2)
+    square = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2)
+    free, noise = [(p.slope, 0), (p.slope, 0), (20.0, 0.0)], (NOISE / TORQUE, 0.1)
+    of_load = Fit(m, "payload", [*((DRIFT, 0) for _ in range(cylinders)), *free], *noise, weighed=True)
+    loose = [*((FAULT, 0) for _ in range(cylinders)), *free]  # the same sums by other priors
+    of_fault = Fit(m, "payload", loose, *noise, rare=cylinders, signed=True, weighed=True)
+    *_, (size, off) = of_load.sizes
     off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)
-    tilt = sum(c * v for c, (v, _) in zip(along, slope, strict=True))
-    # the payload, without the tare and the slope; what is unknown fades always, and faster at a change
-    rows = ca.diag(ca.vertcat(*trust)) @ ca.vertcat(
-        *(ca.horzcat(*(b.columns.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances)
-    )
+    # the payload, without the tare; what is known of it is forgotten at a change
+    own = (ca.horzcat(*(b.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances)
+    rows = ca.diag(trust) @ ca.vertcat(*own)
     left = torque - rows @ ca.vertcat(*(reference(n, p) for n in tare))
-    table = ca.horzcat(HUNDRED * (load + tilt * load_tilt), left - tilt * empty_tilt) / TORQUE
-    calm = without_horizontal(table, h, square)
-    known = sum(c**2 for (c,), _ in calm) + 1e-9
-    change = sum(c * y for (c,), y in calm) / known - size
-    fading = (1 + change**2 / (CHANGED**2 + (NOISE / TORQUE) ** 2 / known)) / MEMORY
-    memory = 1 / ca.fmin(ca.if_else(count > 0, fading, 1 / MEMORY), 1 / LAG)
-    any_counts = whether(count > 0)
-    of_load.adds(any_counts / LAG + NEVER, calm, memory, any_counts)
-    # the horizontal force, by what the payload leaves; one cylinder alone cannot tell it from a payload
-    both, horizontal = whether(count > 1), ca.dot(h, left - HUNDRED * size * load) / length
-    m.moves("horizontal_square", both * (ca.fmin(horizontal**2, JUMPED * square) - mean) / FOLLOWED)
-    variance = NOISE**2 / length + (HUNDRED * off * ca.dot(h, load) / length) ** 2
-    share = ca.dot(h, empty_tilt + HUNDRED * size * load_tilt) / length / FORCE
-    weight = both / (1 + variance / FORCE**2) / (STROKE * LAG)
-    of_force.adds(weight, [([1, *(share * c for c in along)], horizontal / FORCE)], BALANCE_MEMORY)
-    held = ca.sumsqr(h * held) / length**2 / FORCE**2
-    held = m.lag("held", held, FOLLOWED, "Mean square of a horizontal force held by friction", zero=True)
-    force, off_force = FORCE * force, FORCE * ca.sqrt(off_force**2 + held)
-    state = judged(ca.fabs(force), off_force, p.weighing_limit, whether(of_force.samples > FEWEST))
+    tilt = empty_tilt + HUNDRED * size * load_tilt
+    slopes = ca.cos(slewing) * tilt, ca.sin(slewing) * tilt
+    table = ca.horzcat(FORCE * ca.diag(zero), *slopes, HUNDRED * load, left) / TORQUE
+    calm, sizes = without_horizontal(table, h, square), ca.vertcat(*(v for v, _ in of_load.sizes))
+    known = sum(c[-1] ** 2 for c, _ in calm) + 1e-9
+    change = sum(c[-1] * (y - ca.dot(ca.vertcat(*c), sizes)) for c, y in calm) / known
+    # a change is more than the scatter of single readings
+    large = change**2 / (CHANGED**2 + SCATTERS**2 * of_load.solution[2] / known)
+    changed = m.state("changed", "1: the payload has changed; fades")
+    m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / SETTLING))
+    changes = 1 / HELD + changed / LAG + large**2 / SURE
+    any_counts, both = whether(count > 0), whether(count > 1)
+    # it may be the begin of a fault, so all that was known before counts less
+    memory = 1 / (1 / BALANCE_MEMORY + changed / SETTLING)
+    of_load.adds(any_counts / LAG, calm, memory, any_counts, ca.fmin(changes, 0.5 / QUICK))
+    # what is left is a horizontal force; one cylinder alone cannot tell it from a payload
+    horizontal = TORQUE * ca.dot(h, table @ ca.vertcat(-sizes, 1)) / (ca.sumsqr(h) + 1e-9)
+    lasting = m.lag("horizontal", both * horizontal, SWINGS, "Horizontal force at the tip", "N", True)
+    off_mean = ca.fmin((horizontal - lasting) ** 2, JUMPED * square)
+    m.moves("horizontal_square", both * (off_mean - mean) / FOLLOWED)
+    wrong = [(ca.fabs(FORCE * v), FORCE * d) for v, d in of_fault.sizes[:cylinders]]
+    enough = whether(of_fault.samples > FEWEST)
+    states = [judged(v, d, p.weighing_limit, enough) for v, d in wrong]
+    force, spread = sum(v for v, _ in wrong), ca.mmax(ca.vertcat(*(d for _, d in wrong)))
+    off_force = ca.if_else(force > 0, sum(d * whether(v > 0) for v, d in wrong), spread)
+    state = ca.if_else(either(*states) > 0, 1, ca.mmin(ca.vertcat(*states)))  # none: of all cylinders
     # the tare
     scales = [u.prior for u in tare.values()]
     priors = [(1.0, reference(n, p) / scale) for n, scale in zip(tare, scales, strict=True)]

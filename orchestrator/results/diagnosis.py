@@ -44,6 +44,7 @@ GAP, LATE = 0.25, 5.0  # s and steps between two readings: from both on it is a 
 FASTEST, OFF = 3.0, 0.02  # rad/s and rad, m/s and m: what moves more between two readings was spliced
 SPIKE = 20.0  # times the usual changes of a reading, by which a single one is no reading
 ROUNDED = 0.02  # of the largest reading, within which a single change is rounding: a step of 1 bar at 200 bar
+ALONE = 0.25  # of its change, by which those before and after an outlier may change
 BEYOND = 1.5  # times the full command of a valve
 # settings for readings of each step
 COUNTED = ("still_time", "response_time", "burst_volume", "delay_limit")
@@ -446,6 +447,9 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
         least = max(SPIKE * usual, 0.2 * np.ptp(values), ROUNDED * np.abs(values).max())
         spikes = np.minimum(np.abs(before), np.abs(after)) > least
         spikes &= np.abs(before + after) < 0.2 * np.abs(before)
+        # not amid others that change as much: an arm that is shaken
+        spikes[1:] &= np.abs(before[:-1]) < ALONE * np.abs(before[1:])
+        spikes[:-1] &= np.abs(after[1:]) < ALONE * np.abs(before[:-1])
         if rows := [int(k) for k in np.flatnonzero(spikes) + 1]:
             signals[name] = values.copy()
             signals[name][rows] = values[[k - 1 for k in rows]]

@@ -29,7 +29,7 @@ def test_one_fault_is_no_sum_of_others():
         a = np.abs(RNG.normal(3, 1, size=(40, 4)))
         a[:, 2] = a[:, 0] + a[:, 1] + 1e-3 * RNG.normal(size=40)
         a[:, 3] = RNG.normal(size=40)
-        fit = fitted(a, 2 * a[:, 2] + RNG.normal(size=40), [(100, 0)] * 4, 1.0, 1.0, rare=True)
+        fit = fitted(a, 2 * a[:, 2] + RNG.normal(size=40), [(100, 0)] * 4, 1.0, 1.0, rare=3)
         *others, (size, off) = fit.sizes[:3]
         assert [float(s) for s, _ in others] == [0, 0]
         assert float(size) == pytest.approx(2, abs=4 * float(off))
@@ -41,7 +41,7 @@ def test_the_fault_that_is_told_explains_most():
     for _ in range(50):
         a = RNG.normal(size=(9, 4))
         y = a @ [3.0, 0.0, 0.0, -2.0] + RNG.normal(size=9)
-        found = [float(s) for s, _ in fitted(a, y, [(1e6, 0)] * 4, 1e-4, 1.0, rare=True).sizes]
+        found = [float(s) for s, _ in fitted(a, y, [(1e6, 0)] * 4, 1e-4, 1.0, rare=3).sizes]
         each = [np.linalg.lstsq(a[:, [k, 3]], y, rcond=None) for k in range(3)]
         best = min((squares[0], k) for k, (s, squares, *_) in enumerate(each) if s[0] > 0)[1]
         (size, free), *_ = each[best]
@@ -54,9 +54,9 @@ def test_what_is_not_certain_is_no_size():
     found = []
     for _ in range(300):
         a = RNG.normal(size=(20, 2))
-        fit = fitted(a, RNG.normal(size=20), [(100, 0)] * 2, 1.0, 1.0, rare=True)
+        fit = fitted(a, RNG.normal(size=20), [(100, 0)] * 2, 1.0, 1.0, rare=1)
         found.append([float(size) != 0 for size, _ in fit.sizes])
-    # one side of three deviations: 0.13 %
+    # one side of 4.75 deviations: 1e-6
     assert np.mean(found, axis=0) == pytest.approx([0, 1], abs=0.015)
 
 
@@ -124,8 +124,29 @@ def test_a_sum_of_sizes_has_the_deviation_of_their_covariance():
     assert float(of_difference) > 50 * float(of_total)
 
 
+def test_what_is_forgotten_of_one_size_takes_nothing_from_the_others():
+    """What is known of the others alone is the Schur complement, which stays, to rounding; the last fades."""
+    a, y = RNG.normal(size=(20, 3)), RNG.normal(size=20)
+    whole = np.column_stack([a, y])
+    squares = whole.T @ whole
+    keys = [f"{i}_{j}" for j in range(3) for i in range(j + 1)]
+    sums = {f"f_{k}": squares[int(k[0]), int(k[2])] for k in keys} | {"f_yy": squares[3, 3], "f_w": 20.0}
+    m = States(SimpleNamespace(**sums | {f"f_{i}_y": squares[i, 3] for i in range(3)}))
+    Fit(m, "f", [(1, 0)] * 3, 0.1, 0.1).adds(1.0, [([0.0] * 3, 0.0)], 1e12, changes=30.0)
+    now = {n: getattr(m.x, n) + 0.01 * float(rate) for n, rate in m.rates.items()}
+    after = np.empty((4, 4))
+    for (i, j), k in {(int(k[0]), int(k[2])): k for k in keys}.items():
+        after[i, j] = after[j, i] = now[f"f_{k}"]
+    after[:3, 3] = after[3, :3] = [now[f"f_{i}_y"] for i in range(3)]
+    after[3, 3] = now["f_yy"]
+    kept = [0, 1, 3]
+    alone = [n[np.ix_(kept, kept)] - np.outer(n[kept, 2], n[kept, 2]) / n[2, 2] for n in (squares, after)]
+    assert alone[1] == pytest.approx(alone[0], rel=1e-6, abs=1e-6)
+    assert after[2] == pytest.approx(0.7 * squares[2], rel=1e-6)
+
+
 def test_states_of_a_finding():
-    """1 above the limit by three deviations, 0 below, -1 if the deviation is too large or it is unusable."""
+    """1 above the limit by 4.75 deviations, 0 below, -1 if the deviation is too large or it is unusable."""
     cases = (2, 0.1, 1, 1), (1.2, 0.1, 1, 1), (2, 1.1, 1, 1), (2, 0.1, 1, 0)
     assert [float(judged(*case)) for case in cases] == [1, 0, -1, -1]
 

@@ -115,7 +115,8 @@ def _references(result):
 def test_cold_hoses_are_no_faults_of_valves(faulty, work):
     """The openings of valves are the same at -8 and 40 degC, though cold hoses take 10 to 20 bar more.
 
-    To 4 %, of which 3 are laminar flow through their edges; without laminar friction of the hoses it is 7.
+    To 4 %, of which 1.5 are the share of the hose before the sensor, 1, not 0.5, which these strokes do not
+    tell; by the least scatter in place of that of the strokes its prior counts too little, and it is 6.
     """
     strong = {n: c * (1.0 if n == "time" else 2.0) for n, c in work.items()}
     openings = []
@@ -395,24 +396,58 @@ def test_cold_oil_begins_at_its_limit(fmu):
         assert float(result["diagnosis.cold"][-1]) == cold
 
 
-def test_a_force_and_a_slope_share_what_they_explain_by_their_priors(outputs):
-    """Of 10 equations y = F + k a, which cannot tell them apart: F = y / (1 + (k `slope` / 20 kN)^2).
+def test_a_force_is_as_uncertain_as_the_slope_without_slewing(outputs):
+    """Of 10 equations y = Z + k a, which cannot tell them apart: Z = y, with the deviation k `slope`.
 
-    To 1 %, as by Bayes; half or half more of the slope makes 1.6 or 0.6 times as much.
+    To 1 %, as by Bayes; half or half more of the slope makes as much of the deviation.
     """
-    k, y = 400.0, 4.0
-    sums = {"0_0": 10.0, "0_1": 10 * k, "1_1": 10 * k**2, "0_y": 10 * y, "1_y": 10 * k * y, "yy": 10 * y**2}
-    found = outputs({f"weighing_{n}": v for n, v in (sums | {"w": 10.0}).items()}, {})
-    assert found["weighing"] == pytest.approx(1e3 * y / (1 + (k * 0.05 / 20) ** 2), rel=0.01)
+    k, y = 5.0, 4.0
+    sums = {"0_0": 10.0, "0_2": 10 * k, "2_2": 10 * k**2, "0_y": 10 * y, "2_y": 10 * k * y, "yy": 10 * y**2}
+    found = outputs({f"payload_{n}": v for n, v in (sums | {"w": 10.0}).items()}, {})
+    assert found["weighing"] == pytest.approx(1e4 * y, rel=0.01)
+    assert found["weighing_deviation"] == pytest.approx(1e4 * k * 0.05, rel=0.01)
+
+
+def test_no_pressure_is_wrong_only_if_that_is_known_of_all_cylinders(outputs):
+    """A cylinder that was not weighed may have a wrong pressure; one that is told is told."""
+    for force, samples, state in ((0.0, 1e6, 0), (0.0, 1e-6, -1), (2.0, 1e-6, 1)):
+        sums = {"payload_0_0": 1e6, "payload_1_1": samples, "payload_2_2": 1e6, "payload_3_3": 1e6}
+        sums |= {"payload_0_y": 1e6 * force, "payload_yy": 1e6 * force**2, "payload_w": 1e6}
+        assert outputs(sums | {"payload_4_4": 1e6}, {})["weighing_state"] == state
+
+
+def test_a_payload_is_less_and_less_certain_while_nothing_is_weighed(fmu):
+    """Without a supply pressure for two times `HELD` = 6 s: its own deviation grows by e.
+
+    On level ground; of 9.5 kg at the begin 7.4 are drifts of pressures and `ERROR`, which do not grow. Half
+    or twice of the time make 4.7 or 1.3 times as much.
+    """
+    time = np.arange(0, 20, 0.01)
+    columns = {n: np.full(len(time), v[0]) for n, v in constant().items()}
+    columns |= {"time": time, "supply_pressure": np.where(time < 4, 2e7, -3e6)}
+    result = run(fmu, columns, stop=17, step=0.01, record="*", set={"diagnosis.slope": 0.0})
+    before, after = (float(result["payload_deviation"][k]) for k in (410, 1610))
+    assert 1.5 < after / before < np.e
+    assert float(result["payload"][1610]) == pytest.approx(float(result["payload"][410]), abs=before)
+
+
+def test_a_return_pressure_is_another_one_beyond_the_zero_of_a_sensor(fmu):
+    """After 5 s without flow: 2.9 bar more is none, 3.1 is."""
+    time = np.arange(0, 8, 0.01)
+    set_ = {"diagnosis.return_pressure_reference": 4e5}
+    for pressure, low, high in ((6.9e5, np.inf, np.inf), (7.1e5, 4.9, 5.1)):
+        columns = {n: np.full(len(time), v[0]) for n, v in constant(tank_pressure=pressure).items()}
+        result = run(fmu, columns | {"time": time}, stop=7.5, step=0.01, record="*", set=set_)
+        assert low <= since(result, "return_pressure_state") <= high
 
 
 def test_a_supply_pressure_that_all_valves_contradict_is_of_a_wrong_sensor(outputs):
-    """40 bar less than before, of which valves say 30: the sensor; of which they say 10: the pump.
+    """40 bar less than before, of which valves say 0.75: the sensor; of which they say 0.25: the pump.
 
     The midpoint of both explanations decides. Until `COMPARED` it is neither.
     """
-    for bar, wrong in ((-30.0, 1), (-10.0, 0)):
-        e, sums = bar / 100, {f"supply_{n}": 1e6 for n in ("0_0", "1_1", "w")}
+    for e, wrong in ((0.75, 1), (0.25, 0)):
+        sums = {f"supply_{n}": 1e6 for n in ("0_0", "1_1", "w")}
         sums |= {"supply_1_y": 1.6e8, "supply_yy": 2.56e10}
         sums |= {"supply_error_0_0": 1e6, "supply_error_0_y": 1e6 * e, "supply_error_yy": 1e6 * e**2}
         sums |= {"supply_error_w": 1e6, "supply_other": 200.0, "late_supply": 1.6e7}
