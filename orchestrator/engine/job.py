@@ -151,7 +151,7 @@ class Job:
         (trace, label, file), set_values = given, dict(system.by_element(options.get("set") or {}))
         if fault := options.get("fault"):
             ends = time_span(system, trace, start, stop)
-            trace, label = with_changes(system, trace, fault, ends[:2]), label if trace else "fault"
+            trace, label = with_changes(system, trace, fault, ends[:2], label), label if trace else "fault"
         columns = trace.signals if trace is not None else ()
         system = system.noted(
             *system.suggestion.notes(step is not None),

@@ -246,20 +246,25 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
 
     A column with another unit than its input is converted.
     """
+    if not trace.signals:
+        raise Problem(f"{label}: expected a column for each input to drive, got none besides 'time'")
     columns: dict[Port, tuple[int, LinearTransformation]] = {}
     for k, name in enumerate(trace.signals):
         for port, linear in _targets(system, name, label):
             if port in columns:
                 raise Problem(f"{label}: column {name!r} drives {port}, which another column drives too")
             unit = system.inputs[name].unit if name in system.inputs else system.unit(port)
-            if unit and (given := trace.units.get(name)) and given != unit.name:
+            given = trace.units.get(name)
+            if given and given != (unit.name if unit else "1"):
                 linear = from_user_unit(given, unit, f"{label}: column {name!r}").then(linear)
             columns[port] = (k, linear)
     table = np.stack([np.asarray(v, dtype=np.float64) for v in trace.signals.values()], axis=1)
     moving = {k for port, (k, _) in columns.items() if system.variable(port).is_continuous}
     held = {k for k, _ in columns.values()} - moving
     for port, (k, _) in columns.items():
-        _check_integers(system.variable(port), table[:, k], f"{label}: column {list(trace.signals)[k]!r}")
+        _check_integers(
+            system.variable(port), trace.time, table[:, k], f"{label}: column {[*trace.signals][k]!r}"
+        )
     passed = {Port("", name): k for k, name in enumerate(trace.signals) if system.passed(name)}
     return Scenario(ScenarioTable(*_with_jumps(trace.time, table, [*held])), columns, passed)
 
@@ -281,12 +286,14 @@ def _with_jumps(time: Array, columns: Array, held: Sequence[int]) -> tuple[Array
     return np.insert(time, tops, time[tops]), np.insert(columns, tops, before, axis=0)
 
 
-def _check_integers(variable: FmuVariable, values: NDArray[np.float64], context: str) -> None:
-    """Refuse values for an Integer, Enumeration or Boolean variable that a float64 cannot hold exactly."""
-    too_large = ~(np.abs(values) <= WHOLE)
-    if not variable.is_real and too_large.any():
-        value = values[np.argmax(too_large)]
-        raise Problem(f"{context}: expected whole numbers up to {WHOLE}, got {value:.17g}")
+def _check_integers(variable: FmuVariable, time: Array, values: Array, context: str) -> None:
+    """Refuse fractions for an Integer, Enumeration or Boolean variable, and what a float64 may round."""
+    wrong = ~(np.abs(values) <= WHOLE) | (values != np.rint(values))
+    if not variable.is_real and wrong.any():
+        k = int(np.argmax(wrong))
+        expected = "0 or 1, a Boolean" if variable.kind == "Boolean" else f"whole numbers up to {WHOLE}"
+        value = f"{values[k]:.{17 if values[k].is_integer() else 15}g}"
+        raise Problem(f"{context}: expected {expected}, got {value} in row {k + 1}, at {time[k]:.9g} s")
 
 
 def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearTransformation], ...]:
@@ -402,11 +409,16 @@ class DrivenInputs:
 
 
 def with_changes(
-    system: System, trace: Trace | None, changes: Mapping[str, Value | str], span: tuple[float, float]
+    system: System,
+    trace: Trace | None,
+    changes: Mapping[str, Value | str],
+    span: tuple[float, float],
+    label: str = "scenario",
 ) -> Trace:
     """A scenario with more inputs, which jump from value to value.
 
     changes   name -> "VALUE@TIME", several with commas; without a time from the start of the span [s] on
+    label     of the scenario, for messages
     """
     for name in changes:
         if trace is not None and name in trace.signals:
@@ -416,8 +428,13 @@ def with_changes(
     if trace is not None:
         time = np.unique(np.concatenate([time, trace.time]))
     known = trace.at(time) if trace is not None else Trace(time, {})
+    held = dict[str, Array]()
+    for name, values in trace.signals.items() if trace is not None else ():
+        if any(not system.variable(port).is_continuous for port, _ in _targets(system, name, label)):
+            rows = np.searchsorted(trace.time, time, side="right") - 1
+            held[name] = values[np.maximum(rows, 0)]
     added = {name: np.interp(time, *steps) for name, steps in columns.items()}
-    return replace(known, signals={**known.signals, **added})
+    return replace(known, signals={**known.signals, **held, **added})
 
 
 def values_over_time(

@@ -28,6 +28,7 @@ from orchestrator.drive.findings import findings as findings_in
 from orchestrator.drive.page import Replayed, fragment
 from orchestrator.engine.result import Result
 from orchestrator.engine.run import run
+from orchestrator.engine.scenario import ScenarioFile
 from orchestrator.pages.figures import DASHES, PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
 from orchestrator.results.report import PAGE, TERMINAL, Figure, Machine, Part, Report, Section, Table, Text
 from orchestrator.ssp.load import load
@@ -52,6 +53,8 @@ KNOWN = 100.0  # a deviation of the prior over one from which a size can be lear
 STATES = {1.0: "a fault", 0.0: "none", -1.0: "not known"}
 FITTED, REFERENCE = "_fitted", "_reference"
 COLDEST = 200.0  # K
+# times the nominal supply pressure, or one over it: units of pressure differ by 7 (psi, kPa) or more
+NOMINAL, UNUSUAL = "nominal_supply_pressure", 5.0
 EVEN = 1e6  # Pa, below which a return line may have one pressure, and above which that of a pump is held
 LITRE = 1 / 6e4  # L/min in m3/s
 # unit -> factor and unit for a reader, of quantities whose usual one is another
@@ -290,16 +293,20 @@ def readings(file: Path) -> Trace:
 
 
 def columns_of(inputs: Iterable[str], component: str, columns: Iterable[str], file: Path) -> dict[str, str]:
-    """The columns of inputs: NAME, that of the component, that behind a sensor, or the only other one."""
+    """The columns of inputs: NAME or NAME_measured, also of a component; Problem if it could be two.
+
+    Of a run, whose columns all are of components, that of the component counts, then the one behind a sensor.
+    """
     found, columns = dict[str, str](), [*columns]
+    of_run = all("." in c for c in columns)
     for name in inputs:
-        exact = [n for n in (name, f"{component}.{name}", f"{name}_measured") if n in columns]
-        behind = [c for c in columns if c.endswith(f".{name}_measured")]
-        others = [c for c in columns if c.endswith(f".{name}")]
-        these = exact[:1] or behind or others
+        exact = [c for c in columns if of_run and c == f"{component}.{name}"]
+        behind = [c for c in columns if f".{c}".endswith(f".{name}_measured")]
+        others = [c for c in columns if f".{c}".endswith(f".{name}")]
+        these = exact or (behind or others if of_run else [*others, *behind])
         if len(these) > 1:
             text = f"{file}: expected one column {name}, got {', '.join(these)}"
-            raise Problem(f"{text}; name the reading {name}, or leave the others out")
+            raise Problem(f"{text}; leave the others out")
         found |= dict.fromkeys([name], *these) if these else {}
     return found
 
@@ -323,11 +330,13 @@ def diagnose(
     """
     system = load(fmu)
     (component,) = system.components.values()
-    inputs = {n for n, v in component.interface.variables.items() if v.causality == "input"}
+    inputs = [n for n, v in component.interface.variables.items() if v.causality == "input"]
     trace = _named(readings(recording), component.name, inputs, recording)
     if not trace.signals:
         names = first_names(sorted(inputs), 8)
-        raise Problem(f"{recording}: no column has the name of an input of {fmu.name}: {names}")
+        text = f"{recording}: no column has the name of an input of {fmu.name}: {names}"
+        beside = f"{recording.with_suffix('.toml').name} beside it can name others"
+        raise Problem(f"{text}; {beside}, begin it with: harvester describe {recording}")
     return _examined(system, trace, str(recording), parameters, set or {})
 
 
@@ -357,7 +366,8 @@ def _examined(
     start, stop = float(trace.time[0]), float(trace.time[-1])
     record_step = STEP * max(1, math.ceil((stop - start) / STEP / ROWS))
     times: dict[str, Any] = {"start": start, "stop": stop, "step": STEP, "record_step": record_step}
-    result = run(system, trace, record=outputs, parameters=parameters, set=values | dict(set), **times)
+    scenario = ScenarioFile(trace, source, None)
+    result = run(system, scenario, record=outputs, parameters=parameters, set=values | dict(set), **times)
     time, (component,), findings = np.asarray(result.time), result.system.components.values(), []
     for one in found:
         size, off, state = (np.asarray(result[f"{one[0]}{end}"]) for end in ("", "_deviation", "_state"))
@@ -388,6 +398,11 @@ def _checked(component: Component, trace: Trace, source: str) -> tuple[Trace, di
     units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
     remarks += more
     remarks += [f"{source}: {n}: {fault}" for n, fault in rate_faults(trace.time, trace.signals, units)]
+    if "supply_pressure" in trace and NOMINAL in component.interface.variables:
+        highest, nominal = float(trace["supply_pressure"].max()), float(component.value(NOMINAL))
+        if not nominal / UNUSUAL < highest < nominal * UNUSUAL:
+            told = f"at most {number(highest / 1e5)} bar, usually about {number(nominal / 1e5)} bar"
+            remarks.append(f"{source}: supply_pressure: {told}; is the unit of the pressures right?")
     values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing}
     if (slow := period / STEP) > SLOW:
         rate = f"{source}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"
@@ -419,6 +434,8 @@ def _refuse_units(component: Component, trace: Trace, source: str) -> None:
     variables = component.interface.variables
     for name, values in trace.signals.items():
         unit, size = variables[name].unit_name or "1", float(np.abs(values).max())
+        if unit != "1" and trace.units.get(name) == "1":
+            raise Problem(f"{source}: {name}: expected a unit like {unit}, got % or another unit of ratios")
         full = [float(component.value(n)) for n in variables if n.endswith("_full_command")]
         if unit == "K" and values.min() < COLDEST:
             raise Problem(f"{source}: {name}: expected K, got {values.min():.4g} K; did you mean degC?")
@@ -507,6 +524,22 @@ def picture(diagnosis: Diagnosis, fmu: Path) -> Markup:
         return fragment(beside[0], Replayed(diagnosis.readings), faults=faults)
     except Problem:
         return Markup()
+
+
+def told_without_learning(diagnosis: Diagnosis) -> list[Finding]:
+    """The faults that need no values of a healthy machine: one that has them is none."""
+    (component,) = diagnosis.result.system.components.values()
+    return [f for f in diagnosis.broken if f"{f.name}{REFERENCE}" not in component.interface.variables]
+
+
+def learning(diagnosis: Diagnosis) -> str:
+    """How many of the values of the healthy machine were learned, and which were not."""
+    (component,) = diagnosis.result.system.components.values()
+    known, variables = learned_values(diagnosis), component.interface.variables
+    every = [f.name for f in diagnosis.findings if f"{f.name}{REFERENCE}" in variables]
+    lacking = [name for name in every if f"{component.name}.{name}{REFERENCE}" not in known]
+    rest = f"; not learned: {first_names(lacking, 8)}" if lacking else ""
+    return f"{len(known)} of {len(every)} values of the healthy machine{rest}"
 
 
 def learned_values(diagnosis: Diagnosis) -> dict[str, float]:

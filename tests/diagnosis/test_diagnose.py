@@ -1,5 +1,7 @@
 """`harvester diagnose`: what it makes of recordings as they come."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -206,13 +208,14 @@ def test_rows_out_of_order_are_sorted(columns, tmp_path, capsys):
 
 
 def test_which_readings_count(tmp_path):
-    """Of two rows at one time the last counts, of two readings of a component that behind a sensor."""
+    """Of two rows at one time the last counts; of a run that of the component, then that behind a sensor."""
     file = tmp_path / "twice.csv"
     file.write_text("time,a\n0,1\n1,2\n1,3\n2,4\n1,9\n")
     assert readings(file)["a"].tolist() == [1, 9, 4]
     file = tmp_path / "run.csv"
     file.write_text("time,part.a,sensors.a_measured\n0,1,2\n1,1,3\n2,1,4\n")
-    assert _named(read_trace(file), "diagnosis", {"a"}, file)["a"].tolist() == [2, 3, 4]
+    assert _named(read_trace(file), "diagnosis", ["a"], file)["a"].tolist() == [2, 3, 4]
+    assert _named(read_trace(file), "part", ["a"], file)["a"].tolist() == [1, 1, 1]
 
 
 def test_missing_samples_keep_the_one_before(columns, tmp_path, capsys):
@@ -335,7 +338,7 @@ def lacking(columns, *instead):
 
 
 REFUSED = {
-    r"no column has the name of an input of diagnosis\.fmu": lambda c: {
+    r"no column has the name of an input of diagnosis\.fmu: .*log\.toml .* harvester describe ": lambda c: {
         "time": c["time"],
         "speed": c["time"],
     },
@@ -343,12 +346,19 @@ REFUSED = {
     r"expected one column boom_command, got a\.boom_command, b\.boom_command": lambda c: lacking(
         c, "a.boom_command", "b.boom_command"
     ),
+    "expected one column boom_angle, got boom_angle, part.boom_angle": lambda c: (
+        c | {"part.boom_angle": c["boom_angle"]}
+    ),
+    r"expected one column boom_command, got part\.boom_command, sensors\.boom_command_measured": lambda c: (
+        lacking(c, "part.boom_command", "sensors.boom_command_measured")
+    ),
+    r"log\.csv: boom_command: expected a unit like V, got %": lambda c: lacking(c, "boom_command [%]"),
 }
 
 
 @pytest.mark.parametrize("message", REFUSED)
 def test_a_recording_without_the_inputs_is_refused(fmu, columns, tmp_path, message):
-    """Of something else, with the names that are expected; without a command, or with one of two places."""
+    """Of something else; without a command, with one in %, or with two columns of one reading."""
     problem(lambda: diagnose(fmu, written(tmp_path, REFUSED[message](columns))), message)
 
 
@@ -365,6 +375,32 @@ def test_what_is_learned_is_a_parameter_set(fmu, columns, tmp_path):
     target.write_bytes(learned(found))
     again = diagnose(fmu, file, [target])
     assert {f.name for f in again.findings} == {f.name for f in found.findings}
+
+
+def test_a_broken_machine_is_not_learned_without_a_word(fmu, columns, tmp_path, capsys):
+    """What needs no healthy values is told, with status 1, and how many values were learned."""
+    lines, arguments = [], [f"--fmu={fmu}", f"--learn={tmp_path / 'healthy.ssv'}", f"--out={tmp_path}"]
+    for status in (0, 1):
+        assert main(["diagnose", str(written(tmp_path, columns)), *arguments]) == status
+        lines.append(capsys.readouterr().out)
+        columns["boom_rod_pressure"][120:] = -1.5e7
+    for out in lines:
+        assert re.search(r"healthy\.ssv: \d+ of \d+ values of the healthy machine; not learned: swing_", out)
+    fault = "warning: not a healthy machine: The reading of boom rod pressure is wrong; look at: boom rod"
+    assert [fault in out for out in lines] == [False, True]
+
+
+@pytest.mark.parametrize(("unit", "factor", "is_told"), [("bar", 1e-5, False), ("psi", 1e-5, True)])
+def test_pressures_with_the_unit_of_others_are_told(fmu, columns, tmp_path, unit, factor, is_told):
+    """The highest supply pressure is far from the nominal one: bar in the file are named psi."""
+    named = dict((f"{n} [{unit}]", factor * v) if "pressure" in n else (n, v) for n, v in columns.items())
+    remarks = diagnose(fmu, written(tmp_path, named)).remarks
+    assert any("is the unit of the pressures right?" in line for line in remarks) == is_told
+
+
+def test_a_folder_is_no_recording(fmu, tmp_path):
+    """One line."""
+    problem(lambda: diagnose(fmu, tmp_path), "expected a file, got a folder")
 
 
 def test_the_default_fmu_has_a_hint(tmp_path, columns, capsys, monkeypatch):

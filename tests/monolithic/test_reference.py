@@ -15,7 +15,7 @@ from kit.ssp import ssd, system, wire
 from scipy.integrate import solve_ivp
 
 from benchmarks import monolithic
-from orchestrator import Coupling, Result, RunFailed, Trace, assemble, reference, run
+from orchestrator import Coupling, Result, RunFailed, Trace, assemble, load, reference, run, write_ssp
 from orchestrator.base.errors import Problem
 from orchestrator.engine import refinement
 from orchestrator.engine.refinement import estimated_error
@@ -45,6 +45,15 @@ def test_an_ssp_may_ask_for_model_exchange(fmu, tmp_path, implementation):
         result = reference(packed(tmp_path / f"{target}.ssp", files), stop=1.0, record_step=0.25)
         # errors of the solver
         np.testing.assert_allclose(result["r.T"], right(result.trace.time), atol=1e-11)
+
+
+def test_a_system_of_model_exchange_alone_is_read_as_it_was_written(fmu, tmp_path):
+    """The file asks for Model Exchange, as the FMUs have nothing else; the run is the same."""
+    pair = assemble({"t": fmu("thermo", 2), "r": fmu("room", 2)}, ["t.on -> r.on"])
+    again = load(write_ssp(pair, tmp_path / "again.ssp"))
+    assert {c.interface.kind for c in again.components.values()} == {"ModelExchange"}
+    results = [run(s, step=0.1, stop=1.0) for s in (pair, again)]
+    assert results[0].trace == results[1].trace
 
 
 # both solvers: the error of the one as a co-simulation is that of its tolerance, 1e-8

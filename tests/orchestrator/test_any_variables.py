@@ -79,7 +79,8 @@ def test_wires_keep_all_64_bits(fmus3, both, kind):
     assert f"p.{name}_in, p.{name}_out: {note}" in result.card.notes
     far = Trace(np.array([0.0, 1.0]), {f"p.{name}_in": np.array([0.0, 2.0**54])})
     message = problem(lambda: run(assemble({"p": wide}), far, step=0.5))
-    assert message.endswith(f"column 'p.{name}_in': expected whole numbers up to {LARGE}, got {2**54}")
+    got = f"got {2**54} in row 2, at 1 s"
+    assert message.endswith(f"column 'p.{name}_in': expected whole numbers up to {LARGE}, {got}")
 
 
 def test_a_transformation_of_whole_numbers_keeps_all_64_bits(fmus3):

@@ -133,6 +133,27 @@ def test_wrong_columns_of_a_scenario_are_refused(oscillator, column, message):
     problem(lambda: run(oscillator, Trace(np.array([0.0, 1.0]), {column: np.zeros(2)})), message)
 
 
+@table(__file__, "samples", "column, values, unit, message")
+def test_samples_that_do_not_fit_the_input_are_refused(chatter, column, values, unit, message):
+    """As `--set` refuses them: no rounding, and no conversion to a unit that the FMU does not have."""
+    trace = Trace(np.array([0.0, 0.25, 1.0]), {column: np.array(values)}, {column: unit} if unit else {})
+    problem(lambda: run(chatter, trace), message)
+
+
+def test_a_scenario_without_columns_is_refused(chatter):
+    """It has times only."""
+    told = "scenario: expected a column for each input to drive, got none besides 'time'"
+    problem(lambda: run(chatter, {"time": [0.0, 1.0]}), told)
+
+
+def test_a_boolean_column_holds_its_value_beside_a_fault(chatter):
+    """A fault adds rows between those of the scenario: a truth is held there, not a half."""
+    trace = Trace(np.array([0.0, 1.0]), {"p.bool_in": np.array([0.0, 1.0])})
+    result = run(chatter, trace, step=0.1, fault={"p.real_in": "2@0.75"})
+    np.testing.assert_array_equal(result["p.bool_in"], np.append(np.zeros(10), 1.0))
+    assert result["p.real_in"][[0, -1]].tolist() == [0.0, 2.0]
+
+
 def test_a_bare_name_means_every_input_of_that_name(fmus):
     """In start values and scenarios, all in one unit; `component.variable` means that one alone."""
     files = {"p": fmus["gain"], "q": fmus["gain"]}
