@@ -427,12 +427,12 @@ def with_changes(
     time = np.unique(np.concatenate([[*span], *(t for t, _ in columns.values())]))
     if trace is not None:
         time = np.unique(np.concatenate([time, trace.time]))
-    known = trace.at(time) if trace is not None else Trace(time, {})
-    held = dict[str, Array]()
-    for name, values in trace.signals.items() if trace is not None else ():
-        if any(not system.variable(port).is_continuous for port, _ in _targets(system, name, label)):
-            rows = np.searchsorted(trace.time, time, side="right") - 1
-            held[name] = values[np.maximum(rows, 0)]
+    known, held = Trace(time, {}), dict[str, Array]()
+    if trace is not None:
+        known, rows = trace.at(time), np.searchsorted(trace.time, time, side="right") - 1
+        for name, values in trace.signals.items():
+            if any(not system.variable(port).is_continuous for port, _ in _targets(system, name, label)):
+                held[name] = values[np.maximum(rows, 0)]
     added = {name: np.interp(time, *steps) for name, steps in columns.items()}
     return replace(known, signals={**known.signals, **held, **added})
 

@@ -53,8 +53,9 @@ KNOWN = 100.0  # a deviation of the prior over one from which a size can be lear
 STATES = {1.0: "a fault", 0.0: "none", -1.0: "not known"}
 FITTED, REFERENCE = "_fitted", "_reference"
 COLDEST = 200.0  # K
-# times the nominal supply pressure, or one over it: units of pressure differ by 7 (psi, kPa) or more
-NOMINAL, UNUSUAL = "nominal_supply_pressure", 5.0
+# parameter of the usual size of a reading, and times that size, or one over it, which are doubtful: units of
+# pressure differ by 7 (psi, kPa) or more
+NOMINAL, UNUSUAL = "nominal_", 5.0
 EVEN = 1e6  # Pa, below which a return line may have one pressure, and above which that of a pump is held
 LITRE = 1 / 6e4  # L/min in m3/s
 # unit -> factor and unit for a reader, of quantities whose usual one is another
@@ -398,11 +399,13 @@ def _checked(component: Component, trace: Trace, source: str) -> tuple[Trace, di
     units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
     remarks += more
     remarks += [f"{source}: {n}: {fault}" for n, fault in rate_faults(trace.time, trace.signals, units)]
-    if "supply_pressure" in trace and NOMINAL in component.interface.variables:
-        highest, nominal = float(trace["supply_pressure"].max()), float(component.value(NOMINAL))
+    for name in (n for n in trace if f"{NOMINAL}{n}" in component.interface.variables):
+        highest, nominal = (float(v) for v in (trace[name].max(), component.value(f"{NOMINAL}{name}")))
         if not nominal / UNUSUAL < highest < nominal * UNUSUAL:
-            told = f"at most {number(highest / 1e5)} bar, usually about {number(nominal / 1e5)} bar"
-            remarks.append(f"{source}: supply_pressure: {told}; is the unit of the pressures right?")
+            unit = DisplayUnit(units[name], {"Pa": "bar"}.get(units[name], units[name]))
+            highest, nominal = unit.factor * highest, unit.factor * nominal
+            told = f"at most {number(highest)} {unit.name}, usually about {number(nominal)} {unit.name}"
+            remarks.append(f"{source}: {name}: {told}; is the unit of the readings right?")
     values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing}
     if (slow := period / STEP) > SLOW:
         rate = f"{source}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"

@@ -395,7 +395,7 @@ def test_pressures_with_the_unit_of_others_are_told(fmu, columns, tmp_path, unit
     """The highest supply pressure is far from the nominal one: bar in the file are named psi."""
     named = dict((f"{n} [{unit}]", factor * v) if "pressure" in n else (n, v) for n, v in columns.items())
     remarks = diagnose(fmu, written(tmp_path, named)).remarks
-    assert any("is the unit of the pressures right?" in line for line in remarks) == is_told
+    assert any("is the unit of the readings right?" in line for line in remarks) == is_told
 
 
 def test_a_folder_is_no_recording(fmu, tmp_path):
