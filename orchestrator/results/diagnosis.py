@@ -402,9 +402,9 @@ def _checked(component: Component, trace: Trace, source: str) -> tuple[Trace, di
     for name in (n for n in trace if f"{NOMINAL}{n}" in component.interface.variables):
         highest, nominal = (float(v) for v in (trace[name].max(), component.value(f"{NOMINAL}{name}")))
         if not nominal / UNUSUAL < highest < nominal * UNUSUAL:
-            unit = DisplayUnit(units[name], {"Pa": "bar"}.get(units[name], units[name]))
-            highest, nominal = unit.factor * highest, unit.factor * nominal
-            told = f"at most {number(highest)} {unit.name}, usually about {number(nominal)} {unit.name}"
+            shown = DisplayUnit(units[name], {"Pa": "bar"}.get(units[name], units[name]))
+            highest, nominal = shown.factor * highest, shown.factor * nominal
+            told = f"at most {number(highest)} {shown.name}, usually about {number(nominal)} {shown.name}"
             remarks.append(f"{source}: {name}: {told}; is the unit of the readings right?")
     values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing}
     if (slow := period / STEP) > SLOW:
