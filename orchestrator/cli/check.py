@@ -68,7 +68,7 @@ def diagnose(
 
     Writes a report. The exit status is 1 if something is broken, and 3 if nothing was found, but there are
     less than three minutes of readings, or less than half of the parts can be judged. With `learn` it is 1 if
-    something is broken whatever the values of the healthy machine are.
+    something is broken even by the values that were learned.
 
     recording    Columns with the names of the inputs of the FMU, also COMPONENT.NAME or NAME_measured, best
                  at 100 Hz or more (.csv, .parquet, .mat, .mf4, .tdms); a .toml of the same name can describe
@@ -80,7 +80,7 @@ def diagnose(
     out          Folder of diagnosis.html and .json.
     """
     from orchestrator.results.diagnosis import diagnose as diagnosed
-    from orchestrator.results.diagnosis import learned, learning, picture, told_without_learning
+    from orchestrator.results.diagnosis import learned, learning, picture
 
     if fmu == DIAGNOSIS and not fmu.exists():
         raise Problem(
@@ -91,14 +91,14 @@ def diagnose(
     found = diagnosed(fmu, recording, parameters or ())
     if learn is not None:
         write_whole(learn, learned(found))
-        lines = [*found.remarks, found.shortness] if found.shortness else [*found.remarks]
-        faults = told_without_learning(found)
+        again = diagnosed(fmu, recording, [*(parameters or ()), learn])
+        lines = [*again.remarks, *([found.shortness] if found.shortness else [])]
         lines += [
             f"warning: not a healthy machine: {f.text}; look at: {f.repair}; found at {f.since:.2f} s"
-            for f in faults
+            for f in again.broken
         ]
         print(*lines, f"{learn}: {learning(found)}", sep="\n")
-        return 1 if faults else 0
+        return 1 if again.broken else 0
     report = found.report(picture(found, fmu))
     print(report.text(verdict=False))
     page, numbers = report.write(out / "diagnosis.html")

@@ -529,12 +529,6 @@ def picture(diagnosis: Diagnosis, fmu: Path) -> Markup:
         return Markup()
 
 
-def told_without_learning(diagnosis: Diagnosis) -> list[Finding]:
-    """The faults that need no values of a healthy machine: one that has them is none."""
-    (component,) = diagnosis.result.system.components.values()
-    return [f for f in diagnosis.broken if f"{f.name}{REFERENCE}" not in component.interface.variables]
-
-
 def learning(diagnosis: Diagnosis) -> str:
     """How many of the values of the healthy machine were learned, and which were not."""
     (component,) = diagnosis.result.system.components.values()

@@ -378,7 +378,7 @@ def test_what_is_learned_is_a_parameter_set(fmu, columns, tmp_path):
 
 
 def test_a_broken_machine_is_not_learned_without_a_word(fmu, columns, tmp_path, capsys):
-    """What needs no healthy values is told, with status 1, and how many values were learned."""
+    """What is broken even by the values that were learned is told, with status 1, and how many these are."""
     lines, arguments = [], [f"--fmu={fmu}", f"--learn={tmp_path / 'healthy.ssv'}", f"--out={tmp_path}"]
     for status in (0, 1):
         assert main(["diagnose", str(written(tmp_path, columns)), *arguments]) == status
