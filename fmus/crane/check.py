@@ -152,7 +152,7 @@ def _row(a: AxisCheck, speeds: Speeds | None) -> list[str]:
         ends,
         lever,
         *(f"{x / 1e3:.3g} {force}" for x in (a.push, a.pull)),
-        f"{a.holding / 1e5:.0f} bar",
+        f"{round(a.holding / 1e5)} bar",  # no -0
         *moving,
         f"{a.mode:.1f} Hz",
     ]
