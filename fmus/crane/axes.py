@@ -40,7 +40,7 @@ from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.data.table import Array
 
 STEP = {"revolute": math.radians(0.25), "prismatic": 2e-3}  # rad, m: of the search for the ends of a range
-NEWTON = 6  # steps from there to the end: each doubles the digits
+NEWTON = 6  # steps from the last pose inside to the end: each doubles the digits
 FARTHEST = {"revolute": 2 * math.pi, "prismatic": 1.1 * LARGEST_LENGTH}
 DENT = 1e-3  # m: depth of the tip in the ground at the start, of a rounded height
 LEAST_LEVER = 0.02  # m: a smaller one is near zero
@@ -382,6 +382,7 @@ def _range(pose: Start, joint: JointDescription) -> tuple[float, float, tuple[fl
         )
     ends, levers = list[float](), [abs(lever)]
     for sign in (-1.0, 1.0):
+        inside = joint.start.value
         grid = joint.start.value + sign * step * np.arange(1, round(FARTHEST[joint.kind] / step))
         positions, arms = (np.asarray(x)[0] for x in function(grid[None, :]))
         for q, x, arm in zip(grid, positions, arms, strict=True):
@@ -398,10 +399,11 @@ def _range(pose: Start, joint: JointDescription) -> tuple[float, float, tuple[fl
                     f"cylinder cannot move the joint through {scale * q:.4g} {unit}"
                 )
             levers.append(abs(float(arm)))
+            inside = q
         end = 0.0 if x < 0 else joint["stroke"]
         for _ in range(NEWTON):
-            x, arm = map(float, function(q))
-            q -= (x - end) / arm
-        ends.append(float(q))
+            at_end, arm = map(float, function(inside))
+            inside -= (at_end - end) / arm
+        ends.append(float(inside))
         levers.append(abs(arm))
     return min(ends), max(ends), (min(levers), max(levers))

@@ -92,11 +92,10 @@ def build(
 
     description = None
     if crane is not None:
-        from fmus.crane.check import check
-        from fmus.crane.description import read
+        from fmus.crane.check import checked
         from fmus.crane.machine import crane_build
 
-        check(description := read(crane))
+        description, _ = checked(crane)
     with doing("building FMUs") as line:
         made = crane_build(description, parameters, faults) if description else harvester(parameters, faults)
         _tell(made.write(out, versions[fmi], platforms, only or ("*",), line.update))

@@ -34,8 +34,8 @@ def crane(
     """
     require("build", "harvester crane")
     from fmus.crane.axes import capacity
-    from fmus.crane.check import check, table
-    from fmus.crane.description import new, read
+    from fmus.crane.check import checked, table
+    from fmus.crane.description import new
     from fmus.crane.speeds import full_speeds
 
     for name, given, actions in (("drawing", drawing, ("check",)), ("out", out, ("export", "import"))):
@@ -49,8 +49,7 @@ def crane(
 
         print(imported(file, out or file.with_suffix(".toml")))
         return
-    description = read(file)
-    found = check(description)
+    description, found = checked(file)
     if action == "export":
         from fmus.crane.urdf import export, left_out
         from orchestrator.base.files import write_whole
