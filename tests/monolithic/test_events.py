@@ -117,6 +117,41 @@ def test_a_relay_switches_a_room_at_its_time(heated, master):
     assert not [note for note in result.card.notes if "late," in note or "step late" in note]
 
 
+@every_master
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_event_of_the_start_acts(fmu, master, version):
+    """A relay that is on at first switches a warm room off: T' = on - T from 1, the mirror image of from 0."""
+    fmus = {"relay": fmu("thermo", version, rolls=True), "room": fmu("room", version, rolls=True)}
+    system = assemble(fmus, HEATED, {"relay.on": True, "room.T": 1.0})
+    result = run(system, stop=STOP, **length(master), master=master, isolate=False)
+    np.testing.assert_array_equal(result["room.on"][:5], 0)
+    # the solver of Model Exchange has a tolerance of 1e-8
+    np.testing.assert_allclose(held(result.events, "relay.on"), switches(STOP), atol=1e-7)
+    np.testing.assert_allclose(result["room.T"], 1.0 - temperature(result.time), atol=1e-6)
+
+
+@pytest.mark.parametrize("master", [m for m in MASTERS.values() if not m.adaptive], ids=str)
+@pytest.mark.parametrize("isolate", [True, False])
+def test_a_relay_switches_a_room_that_declares_no_dependencies(stopping, master, isolate):
+    """Without event mode, too: the room is in an undeclared loop, of which only the relay has a Real input."""
+    able = {"hasEventMode": "false", "mightReturnEarlyFromDoStep": "false"}
+    fmus = {
+        "relay": stopping("relay", ["y_rate"], undeclared=True, **able),
+        "room": stopping("room", undeclared=True, **able),
+    }
+    result = run(assemble(fmus, HEATED), stop=STOP, step=STEP, master=master, isolate=isolate)
+    t, on = result["room.T"], result["room.on"]
+    np.testing.assert_array_equal(result["relay.y"], t)
+    # the room moves exactly while its input is held
+    np.testing.assert_allclose(t[1:], on[:-1] + (t[:-1] - on[:-1]) * np.exp(-STEP), atol=1e-13)
+    found = result.time[1:][np.diff(on) != 0]
+    late = found - switches(STOP)[: len(found)]
+    # each switch is up to two steps late, and the following ones by as much as those before
+    assert len(found) >= 4
+    assert (late >= 0.0).all()
+    assert (np.diff(late, prepend=0.0) <= 4 * STEP).all()
+
+
 def test_a_ball_bounces_alone(stopping):
     """One FMU needs no rollback: each bounce is where it stops, and the next step begins there."""
     fmu = stopping("ball", canGetAndSetFMUState="false")
