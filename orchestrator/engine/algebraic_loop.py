@@ -69,7 +69,7 @@ class AlgebraicLoop:
     def _fill_members(self) -> Iterator[Any]:
         """Fill a structure for each component: calls that set inputs and read outputs, and the derivative."""
         binding, u, y = self._binding, self._arrays["u"], self._arrays["y"]
-        # also components that have outputs of the loop, but of whose inputs it has none, as these are not Real
+        # also those of which the loop has outputs, but no inputs, as these are not Real
         inputs_of = {n: [p.variable for p in self.inputs if p.component == n] for n in self._slaves}
         outputs_of = {n: [p.variable for p in self.outputs if p.component == n] for n in self._slaves}
         groups = [(n, inputs_of[n], outputs_of[n]) for n in self._slaves if inputs_of[n] or outputs_of[n]]
