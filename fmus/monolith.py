@@ -64,6 +64,7 @@ def join(
     numbers = numbers or {name: values(sub) for name, sub in subsystems.items()}
     constant = {f"{n}.{v}": value for n, group in numbers.items() for v, value in group.u.items()}
     coupled = couple(subsystems, connections, inputs, constant, known)
+    x, u, p = start_values(numbers, inputs)
     return Monolith(
         states=coupled.states,
         inputs=coupled.inputs,
@@ -72,11 +73,23 @@ def join(
         right_hand_side=coupled.of("F", coupled.dx),
         outputs=coupled.of("Y", coupled.y),
         start=coupled.of("X0", coupled.start),
-        x=np.concatenate([list(n.x.values()) for n in numbers.values()]),
-        u=np.array([constant[next(iter(targets))] for targets in inputs.values()]),
-        p=np.concatenate([list(n.p.values()) for n in numbers.values()]),
+        x=x,
+        u=u,
+        p=p,
         nominal=np.array([q.nominal for s in subsystems.values() for q in quantities(s.states).values()]),
     )
+
+
+def start_values(
+    numbers: Mapping[str, Values], inputs: Mapping[str, Sequence[str]]
+) -> tuple[Array, Array, Array]:
+    """`x`, `u` and `p` of a `Monolith` from the values of its components; inputs: as in `join`."""
+    constant = {f"{n}.{v}": value for n, group in numbers.items() for v, value in group.u.items()}
+    x, p = (
+        np.concatenate([list(g.values()) for g in of])
+        for of in zip(*((n.x, n.p) for n in numbers.values()), strict=True)
+    )
+    return x, np.array([constant[next(iter(targets))] for targets in inputs.values()]), p
 
 
 def merge_times(first: Array, second: Array) -> Array:

@@ -12,6 +12,7 @@ import argparse
 import re
 import zlib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from fmus.crane.description import read
 from fmus.crane.machine import crane_build
+from fmus.machine.one_block import one_block
 from orchestrator import Result, run
 
 Array = NDArray[np.float64]
@@ -76,10 +78,13 @@ def with_forces(signals: Signals) -> dict[str, Array]:
     return {**signals, **{f: AREAS @ pressures for f, pressures in pairs.items()}}
 
 
-def simulate(fmu: Path, measured: Signals, neutral: float = NEUTRAL, **other: float) -> dict[str, Array]:
+def simulate(
+    fmu: Path, measured: Signals, neutral: float = NEUTRAL, **other: float | None
+) -> dict[str, Array]:
     """The crane with the measured commands and supply, and other values of parameters.
 
     neutral   command of the closed valve [V]
+    other     None: the drives have no such parameter
     """
     smooth = np.convolve(np.pad(measured["pP"], 50, mode="edge"), np.full(101, 1 / 101), "valid")
     tank = np.full(TIMES.size, measured["pT"].mean())
@@ -87,7 +92,8 @@ def simulate(fmu: Path, measured: Signals, neutral: float = NEUTRAL, **other: fl
     for lever, volts in (("lift", "U1"), ("tilt", "U2")):
         scenario[f"{lever}_command"] = 10 * (neutral - measured[volts]) / FULL
     own = {**SET, "initial_preload": 1e5 * measured["p2"][REST].mean(), **other}
-    result: Result = run(fmu, scenario, set={f"patu.{n}": x for n, x in own.items()}, record_step=5e-3)
+    given = {f"patu.{n}": x for n, x in own.items() if x is not None}
+    result: Result = run(fmu, scenario, set=given, record_step=5e-3)
     signals = {n: offset + scale * result[f"patu.{s}"] for n, (_, s, scale, offset) in ROWS.items()}
     return with_forces({n: np.interp(TIMES, result.trace.time, x) for n, x in signals.items()})
 
@@ -124,7 +130,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="The crane PATU 655 compared with its measurement.")
     parser.add_argument("folder", type=Path, help="downloaded folder of github.com/qkhadim22/DeepMechDyn")
     folder, fmu = parser.parse_args().folder, Path("build/patu/patu.fmu")
-    crane_build(read(Path(__file__).with_name("patu.toml"))).write(fmu.parent, only=(fmu.stem,))
+    made, sections = (
+        crane_build(read(Path(__file__).with_name("patu.toml"))),
+        fmu.parent / "compensated" / fmu.name,
+    )
+    made.write(fmu.parent, only=(fmu.stem,))
+    drives = {"drives": {"compensated": made.machine.parts["drives"]["compensated"]}}
+    machine = replace(made.machine, parts={**made.machine.parts, **drives})
+    replace(made, whole=one_block(machine, "PATU, compensated")).write(sections.parent, only=(fmu.stem,))
     measured = with_forces({n: np.interp(TIMES, *curve(folder, n, MEASURED)) for n in LIMITS})
     theirs = with_forces({n: np.interp(TIMES, *curve(folder, n, SIMULATED)) for n in ROWS})
     at = {volts: simulate(fmu, measured, volts) for volts in NEUTRALS}
@@ -153,6 +166,12 @@ def main() -> None:
     turned = np.mean(np.interp(measured["s1"][late], more["s1"], more["z1"]) - measured["z1"][late])
     print(f"lift angle at the end: {turned:.1f} deg more by pins and measured piston than measured")
     curves = {"measured": measured, "FMU": ours, "authors' simulation": theirs}
+    for text, edge in {"": {}, ", edges alike": {"lift_rod_return_area": AREA}}.items():
+        for volts in NEUTRALS[:2]:
+            name = f"compensated, closed at {volts:.2f} V{text}"
+            curves[name] = simulate(sections, measured, volts, lift_valve_area=None, **edge)
+            largest, rms = size(curves[name]["s1"] - measured["s1"])
+            print(f"lift piston, {name}: max {largest:.1f} mm, rms {rms:.1f} mm")
     for name, x in ((n, of["s1"]) for n, of in curves.items()):
         speeds = (np.polyfit(TIMES[k : k + 600], x[k : k + 600], 1)[0] for k in (1000, 3400))
         print(f"speed of the lift piston, {name}:" + ", ".join(f"{v:6.2f} mm/s" for v in speeds))

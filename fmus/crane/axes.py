@@ -24,11 +24,9 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import eigh
-from scipy.optimize import brentq
 
 from fmus.components.cylinder import areas, volumes
-from fmus.contract import nested
+from fmus.contract import Subsystem, Symbolic, nested, symbolic
 from fmus.crane.description import (
     LARGEST_LENGTH,
     CraneDescription,
@@ -42,6 +40,7 @@ from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.data.table import Array
 
 STEP = {"revolute": math.radians(0.25), "prismatic": 2e-3}  # rad, m: of the search for the ends of a range
+NEWTON = 6  # steps from the last pose inside to the end: each doubles the digits
 FARTHEST = {"revolute": 2 * math.pi, "prismatic": 1.1 * LARGEST_LENGTH}
 DENT = 1e-3  # m: depth of the tip in the ground at the start, of a rounded height
 LEAST_LEVER = 0.02  # m: a smaller one is near zero
@@ -209,7 +208,14 @@ def _passing(poses: Array, values: Array, reach: float) -> tuple[Array, Array]:
 @lru_cache(maxsize=16)
 def at_start(crane: CraneDescription, payload: float = 0.0) -> Mapping[str, float]:
     """Outputs of the manipulator at its start, with a payload [kg]."""
-    return outputs_at_start(manipulator(crane), payload)
+    sub, known = _mechanics(crane)
+    return outputs_at_start(sub, payload, known)
+
+
+@lru_cache(maxsize=16)
+def _mechanics(crane: CraneDescription) -> tuple[Subsystem, Symbolic]:
+    sub = manipulator(crane)
+    return sub, symbolic(sub)
 
 
 def axes_of(crane: CraneDescription, start: Mapping[str, float] | None = None) -> list[AxisCheck]:
@@ -311,7 +317,8 @@ def modes(crane: CraneDescription, found: Sequence[AxisCheck]) -> Array:
         stiffness[k, k] += float(j.stiffness(p)) if j.stiffness else 0.0
     for k, a in zip(driven, found, strict=True):
         stiffness[k, k] += a.stiffness
-    squares: Array = eigh(stiffness, mass, eigvals_only=True)
+    inverse = np.linalg.inv(np.linalg.cholesky(mass))
+    squares: Array = np.linalg.eigvalsh(inverse @ stiffness @ inverse.T)
     return np.sqrt(np.clip(squares, 0.0, None)) / (2 * math.pi)
 
 
@@ -375,6 +382,7 @@ def _range(pose: Start, joint: JointDescription) -> tuple[float, float, tuple[fl
         )
     ends, levers = list[float](), [abs(lever)]
     for sign in (-1.0, 1.0):
+        inside = joint.start.value
         grid = joint.start.value + sign * step * np.arange(1, round(FARTHEST[joint.kind] / step))
         positions, arms = (np.asarray(x)[0] for x in function(grid[None, :]))
         for q, x, arm in zip(grid, positions, arms, strict=True):
@@ -391,7 +399,11 @@ def _range(pose: Start, joint: JointDescription) -> tuple[float, float, tuple[fl
                     f"cylinder cannot move the joint through {scale * q:.4g} {unit}"
                 )
             levers.append(abs(float(arm)))
+            inside = q
         end = 0.0 if x < 0 else joint["stroke"]
-        ends.append(brentq(lambda q, end=end: float(function(q)[0]) - end, joint.start.value, q, xtol=1e-12))
-        levers.append(abs(float(function(ends[-1])[1])))
+        for _ in range(NEWTON):
+            at_end, arm = map(float, function(inside))
+            inside -= (at_end - end) / arm
+        ends.append(float(inside))
+        levers.append(abs(arm))
     return min(ends), max(ends), (min(levers), max(levers))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -18,10 +19,12 @@ from fmus.crane.description import (
     TABLES,
     CraneDescription,
     keys_of,
+    read,
 )
 from fmus.crane.machine import borrowed, components, taken
 from fmus.crane.manipulator import contacts, manipulator, resting
 from fmus.parameters import Number
+from orchestrator.base import toml
 from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable
 
@@ -30,11 +33,20 @@ POSES, SAME = 50, 1e-6  # random poses, and share of a torque that is rounding
 SHARES = (0.4, 0.7, 1.0)  # of the largest reach, for which loads are printed
 
 
+def checked(file: Path) -> tuple[CraneDescription, list[AxisCheck]]:
+    """A crane and all axes from its file; Mistakes of the file and of the names of joints at once."""
+    try:
+        crane = read(file)
+    except Mistakes as found:
+        joints = (n for n, given in toml.read_file(file).data.items() if isinstance(given, dict))
+        raise Mistakes([*found.lines, *_names(file, joints)]) from None
+    return crane, check(crane)
+
+
 def check(crane: CraneDescription) -> list[AxisCheck]:
     """All axes; a Problem with a line for each mistake, also in the names of joints."""
-    used, (of_drives, others), name = taken(), components(), crane.file.stem
-    named = [(j.name, used[j.name]) for j in crane.joints if j.name in used]
-    wrong = [f"{crane.file}: [{n}] expected another name of the joint: {why}" for n, why in named]
+    (of_drives, others), name = components(), crane.file.stem
+    wrong = [*_names(crane.file, (j.name for j in crane.joints))]
     listed = ", ".join(sorted(others))
     for j in (j for j in crane.driven if j.part in others):
         wrong.append(f"{crane.file}: [{j.name}.hydraulics] part: expected none of {listed}, got {j.part!r}")
@@ -43,6 +55,13 @@ def check(crane: CraneDescription) -> list[AxisCheck]:
     if wrong:
         raise Mistakes(wrong)
     return axes_of(crane)
+
+
+def _names(file: Path, joints: Iterable[str]) -> Iterator[str]:
+    """A line for each joint with a name that the machine or a language has."""
+    used, others = taken(), {*TABLES, "start"}
+    for n in (n for n in joints if n in used and n not in others):
+        yield f"{file}: [{n}] expected another name of the joint: {used[n]}"
 
 
 def table(
@@ -174,7 +193,7 @@ def _row(a: AxisCheck, speeds: Speeds | None) -> list[str]:
         ends,
         lever,
         *(f"{x / 1e3:.3g} {force}" for x in (a.push, a.pull)),
-        f"{a.holding / 1e5:.0f} bar",
+        f"{round(a.holding / 1e5)} bar",  # no -0
         *moving,
         f"{a.mode:.1f} Hz",
     ]

@@ -658,7 +658,8 @@ def _joint(
         "follows": (before, ""),
     }
     kind, drive, axis, parent, follows = (reader.one_of(name, given, n, *of) for n, of in words.items())
-    key = _key(name, UNITS[kind][0], "Coordinate at the start", 0.0, -ENDS[kind], ENDS[kind])
+    text, end = "Coordinate at the start", ENDS[kind]
+    key = {name: Quantity(UNITS[kind][0], text, minimum=-end, maximum=end, value=0.0)}  # any name
     j = JointDescription(
         name=name,
         kind=cast(Literal["revolute", "prismatic"], kind),

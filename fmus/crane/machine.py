@@ -11,10 +11,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from keyword import kwlist
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from fmus import boom_stick, swing
 from fmus import supply as supplies
@@ -46,12 +46,10 @@ from fmus.drives.motor import MOTOR
 from fmus.drives.variants import fidelity
 from fmus.faults import CYLINDER_ADDITIONS, MOTOR_ADDITIONS
 from fmus.machine.build import Build, with_values
-from fmus.machine.feasible import Mechanics
 from fmus.machine.machine import Machine, with_faults
 from fmus.machine.one_block import one_block
 from fmus.machine.parts import DRIVES, feric
-from fmus.machine.path_following import TrackedMachine
-from fmus.machine.ssp import CONTROLLED, SENSED, SystemPlan
+from fmus.machine.ssp import SystemPlan
 from fmus.operator_input.model import AXES, operator
 from fmus.operator_input.work_cycle import Move, Stem, with_program
 from fmus.parameters import Number, numbers, parameters
@@ -60,7 +58,6 @@ from fmus.valve_actuation import actuation
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import MODELICA
 from orchestrator.check.rules.variables import C
-from orchestrator.ssp.system import System
 
 FIDELITIES = {  # variant of the drives -> text and range of validity
     "lumped": ("spool valves, hoses, cylinders and motors", "below the first mode of the longest hose"),
@@ -90,6 +87,9 @@ OF_SECTION = ("rod_rated_flow", "head_return_area", "rod_return_area", "head_pil
 LINE = ("valve_dead_band", "valve_command_rounding")
 HEAVY = 1 / 8  # of the supply pressure: a side that carries more at the start has a low pilot ratio
 
+# of an axis: name, whether a motor moves it, additions, sides with a counterbalance valve
+_Key: TypeAlias = tuple[str, bool, tuple[str, ...], tuple[str, ...]]
+
 
 def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     """The machine of a description; faults: whether its parts have faults as inputs."""
@@ -114,10 +114,13 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     return with_faults(machine) if faults else machine
 
 
+_paper = cache(partial(feric, faults=True))
+
+
 @cache
 def components() -> tuple[frozenset[str], frozenset[str]]:
     """Names of the FMUs of a machine: of drives, and of the others."""
-    m = feric(faults=True)
+    m = _paper()
     return frozenset(DRIVES), frozenset({*m.components, *(sub.name for sub in m.drivers)} - {*DRIVES})
 
 
@@ -127,7 +130,7 @@ def taken() -> dict[str, str]:
 
     The drives are the cylinders of the paper's machine, in which names of the part itself are the same.
     """
-    crane, m = read(NEW), feric(faults=True)
+    crane, m = read(NEW), _paper()
     variants = [sub for family in m.families.values() for sub in family.values()]
     others = (*variants, *m.components.values(), *m.drivers)
     shipped = [sub for sub in others if sub.component not in (NAME, swing.SWING.component)]
@@ -160,20 +163,8 @@ def drives(
     faults: bool = False,
 ) -> Subsystem:
     """The hydraulics of some joints."""
-    axes = list[Axis]()
-    for j in joints:
-        is_motor = j.motor
-        kind, moved = (MOTOR, motor.HeldInputs) if is_motor else (CYLINDER, cylinder.Inputs)
-        added = (MOTOR_ADDITIONS if is_motor else CYLINDER_ADDITIONS) if faults else ()
-        known = {**ADDITIONS, **({} if variant in OIL_COLUMNS else {"cushion": CushionWithoutColumn})}
-        known |= OF_MOTOR if is_motor else {}
-        own = [(n, known[n]) for n in j.additions]
-        axes.append(Axis(j.name, kind, moved, own_valve=True, additions=(*added, *own), held=j.held))
-    of, (text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
-    if variant not in OIL_COLUMNS and any("cushion" in j.additions for j in joints):
-        validity += "; no cushions"
-    make = partial(part, name, axes, text=f"Hydraulic drives of {of}: {text}", validity=validity)
-    sub = make(of_variant := fidelity(variant))
+    key = tuple((j.name, j.motor, j.additions, j.held) for j in joints)
+    sub, of_variant = _structure(name, key, variant, faults), fidelity(variant)
     of_swing, of_arm = swing.VARIANTS[variant], boom_stick.VARIANTS[variant]
     common = {**numbers(of_swing)["parameters"], **numbers(of_arm)["parameters"]}
     largest = max(sizes.section_flow(crane, j, COMPENSATED) for j in joints)
@@ -202,8 +193,32 @@ def drives(
     sub = replace(sub, numbers={"parameters": found, "start": start})
     if variant == "detailed":
         p = parameters(sub)
-        sub = replace(make(fidelity(variant, lambda axis: needed(axis, p))), numbers=sub.numbers)
+        lumps = tuple(needed(_axis(one, variant, faults), p) for one in key)
+        sub = replace(_structure(name, key, variant, faults, lumps), numbers=sub.numbers)
     return sub
+
+
+def _axis(key: _Key, variant: str, faults: bool) -> Axis:
+    name, is_motor, additions, held = key
+    kind, moved = (MOTOR, motor.HeldInputs) if is_motor else (CYLINDER, cylinder.Inputs)
+    added = (MOTOR_ADDITIONS if is_motor else CYLINDER_ADDITIONS) if faults else ()
+    known = {**ADDITIONS, **({} if variant in OIL_COLUMNS else {"cushion": CushionWithoutColumn})}
+    known |= OF_MOTOR if is_motor else {}
+    return Axis(name, kind, moved, None, True, (*added, *((n, known[n]) for n in additions)), held)
+
+
+@lru_cache(maxsize=32)
+def _structure(
+    name: str, keys: tuple[_Key, ...], variant: str, faults: bool, lumps: tuple[int, ...] = ()
+) -> Subsystem:
+    """The hydraulics without numbers; lumps: of the line of each axis in detailed ones."""
+    axes, (text, validity) = [_axis(key, variant, faults) for key in keys], FIDELITIES[variant]
+    if variant not in OIL_COLUMNS and any("cushion" in additions for _, _, additions, _ in keys):
+        validity += "; no cushions"
+    of = dict(zip((a.name for a in axes), lumps, strict=True)) if lumps else {}
+    of_variant = fidelity(variant, lambda axis: of[axis.name]) if lumps else fidelity(variant)
+    drives = f"Hydraulic drives of {', '.join(a.name for a in axes)}: {text}"
+    return part(name, axes, of_variant, text=drives, validity=validity)
 
 
 def _alike(names: Any, numbers: Mapping[str, Any]) -> Iterator[tuple[str, Number | None]]:
@@ -346,20 +361,3 @@ def crane_build(crane: CraneDescription, parameters: Path | None = None, faults:
     except Problem as why:
         note = f"without a controller: {why}"
     return Build(machine, whole, plan, plan, files, note=note)
-
-
-def tracked(system: System) -> tuple[TrackedMachine, Mechanics] | None:
-    """Names and mechanics of a crane that follows paths; None: the system is none of a crane."""
-    if (file := system.resources.get(SOURCE)) is None:
-        return None
-    crane = read(Path(str(file)), file.read())
-    controlled(crane)  # tells why the machine has no controller
-    machine, name = crane_machine(crane), system.name.removesuffix(CONTROLLED).removesuffix(SENSED)
-    tip = ("crane_tip_radius", "crane_tip_height", "crane_tip_angle")
-    own = TrackedMachine(
-        example=f"{name}{CONTROLLED}.ssp",
-        alone="drives=lumped",
-        tip=tuple(f"{NAME}.{n}" for n in tip),
-    )
-    assert machine.controller is not None
-    return own, Mechanics(machine.controller, machine.parts[NAME])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -315,7 +316,8 @@ def _words(names: Sequence[str]) -> dict[str, str]:
     """Names as those of joints, one word each, all of them different, none that a machine has otherwise."""
     found, used = dict[str, str](), set(taken())
     for name in names:
-        word = first = re.sub("^[0-9]+|[^a-z0-9]", "", name.lower()) or "joint"
+        plain = unicodedata.normalize("NFKD", name)  # o before the dots of an umlaut
+        word = first = re.sub("^[0-9]+|[^a-z0-9]", "", plain.lower()) or "joint"
         number = 2
         while word in used:
             word, number = f"{first}{number}", number + 1

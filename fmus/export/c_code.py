@@ -25,7 +25,7 @@ from fmus.components import opening_curve
 from fmus.contract import Symbolic, column
 from fmus.export import c_functions, elimination
 from fmus.export.c_functions import Routine, c_function, hoist, number, split
-from fmus.export.elimination import eliminate
+from fmus.export.elimination import Entry, eliminate
 from fmus.export.interface import Interface, Variable
 from orchestrator.base import compiler
 from orchestrator.base.text import rendered
@@ -48,9 +48,13 @@ _ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
 _INITIAL = ("model_start", "model_start_forward")
 
 
-def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int]]:
-    """The C functions of native/model.h, and the lengths of vectors."""
-    sym = interface.equations
+def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int], Sequence[Entry]]:
+    """The C functions of native/model.h, the lengths of vectors, and the places of jac that C code computes.
+
+    A model that is not stiff seldom needs df/dx, the largest of the functions (in 20000 steps of a crane at 1
+    ms never, or ten times at its end stops), so its C code computes it by directional derivatives.
+    """
+    sym, explicit = interface.equations, not interface.stiff
     system = eliminate(without_zero_calls(ca.jacobian(sym.dx, sym.x)))
     # directions v of states, inputs, parameters; time derivatives du of inputs
     like = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u}
@@ -61,8 +65,7 @@ def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int]
     values = {
         "x0": sym.start,
         "dx": sym.dx,
-        "jac": system.entries,
-        "ft": ca.jtimes(sym.dx, sym.u, moving),
+        **({} if explicit else {"jac": system.entries, "ft": ca.jtimes(sym.dx, sym.u, moving)}),
         "y": interface.y,
         "require": sym.require,
         "delay": sym.next_event,
@@ -81,6 +84,7 @@ def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int]
             scope="SHARED" if name in _INITIAL else "LOCAL",
         )
         for name, (outputs, inputs) in _ROUTINES.items()
+        if values.keys() >= {*outputs}
     ]
     matrix = {"diagonal": system.diagonal, "jac": system.jac}
     states = {"x": sym.x, "p": sym.p, "c": c}
@@ -91,7 +95,7 @@ def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int]
         Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
     ]
     lengths = {"NC": c.numel(), "NZ": observed.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
-    return [*others, *main], lengths
+    return [*others, *main], lengths, system.places if explicit else ()
 
 
 def _split_by_inputs(
@@ -202,11 +206,15 @@ def main_source(model: str) -> str:
 
 @dataclass(frozen=True)
 class PrintedEquations:
-    """The equations in C, the same for all values: those of model.c and initial.c, and lengths of vectors."""
+    """The equations in C, the same for all values: those of model.c and initial.c, and lengths of vectors.
+
+    places   of the entries of jac that C code computes, see `model_equations`
+    """
 
     model: str
     initial: str
     lengths: Mapping[str, int]
+    places: Sequence[Entry] = ()
 
 
 def printed_equations(interface: Interface) -> PrintedEquations:
@@ -219,7 +227,8 @@ def printed_equations(interface: Interface) -> PrintedEquations:
         "u": [v.name for v in interface.inputs],
         "p": [v.name for v in interface.parameters],
     }
-    parts = [ca.CasadiMeta.version().encode(), function.serialize().encode(), json.dumps(names).encode()]
+    described = json.dumps([names, interface.stiff]).encode()
+    parts = [ca.CasadiMeta.version().encode(), function.serialize().encode(), described]
     kept = compiler.kept(
         f"{interface.name}.json", lambda: _print(interface, names), [*parts, *generator_sources()]
     )
@@ -228,12 +237,13 @@ def printed_equations(interface: Interface) -> PrintedEquations:
 
 def _print(interface: Interface, names: Mapping[str, Sequence[str]]) -> bytes:
     """The fields of `PrintedEquations` as JSON."""
-    routines, lengths = model_equations(interface)
+    routines, lengths, places = model_equations(interface)
     initial, model = (
         "\n".join(c_function(r, names) for r in routines if (r.name in _INITIAL) == is_initial)
         for is_initial in (True, False)
     )
-    return json.dumps({"model": model, "initial": initial, "lengths": lengths}).encode()
+    content = {"model": model, "initial": initial, "lengths": lengths, "places": places}
+    return json.dumps(content).encode()
 
 
 @cache
@@ -257,6 +267,8 @@ def generated(interface: Interface, guid: str, printed: PrintedEquations | None 
         "sampling": interface.sampling,
         "guid": json.dumps(guid),
         "equations": printed.model.removesuffix("\n"),
+        "stiff": interface.stiff,
+        "places": printed.places,
         "initial": printed.initial.removesuffix("\n"),
         "row": partial(_row, [v.name for v in interface.inputs]),
         "comment": _comment,

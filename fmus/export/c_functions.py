@@ -24,7 +24,6 @@ from fmus.called_functions import (
     instructions,
     output_bounds,
     rebuilt,
-    without_zero_calls,
 )
 from fmus.contract import column
 from orchestrator.base.errors import Problem
@@ -339,8 +338,7 @@ def hoist(expressions: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX],
 
     expressions   dense columns
     """
-    all_rows = ca.cse(without_zero_calls(ca.vertcat(*expressions.values())))
-    all_rows, inverses, divisors = _by_multiplication(all_rows, p)
+    all_rows, inverses, divisors = _by_multiplication(ca.cse(ca.vertcat(*expressions.values())), p)
     reduced, symbols, subexpressions = ca.extract_parametric(all_rows, ca.vertcat(p, inverses))
     symbols = [*symbols, *ca.vertsplit(inverses)]
     subexpressions = [*subexpressions, *ca.vertsplit(1 / divisors)]
@@ -354,7 +352,8 @@ def hoist(expressions: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX],
 def _by_multiplication(values: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Replaces divisions by subexpressions of the parameters alone by multiplications with new symbols.
 
-    Returns the new values, the symbols, and the divisors, whose inverses the symbols are.
+    Calls that give zero are gone afterwards, too. Returns the new values, the symbols, and the divisors,
+    whose inverses the symbols are.
     """
     symbols: list[ca.SX] = []
     divisors: list[ca.SX] = []
@@ -380,7 +379,7 @@ def _call_order(expression: ca.SX, symbols: Sequence[ca.SX]) -> list[int]:
     rest = column(*(s for s in others if s.element_hash() not in known))
     function = ca.Function("f", [c, rest], [expression])
     calls, order, entry = called(function), list[int](), dict[int, int]()
-    for operation, o, i in instructions(function):
+    for operation, o, i in instructions(function) if calls else ():
         if operation == ca.OP_CALL:
             for first, end in input_bounds(callee(calls, i, o)):
                 vector = [entry[j] for j in i[first:end] if j in entry]

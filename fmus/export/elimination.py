@@ -27,12 +27,14 @@ SMALLEST_RATIO = 1e-8
 class Elimination:
     """The elimination of a matrix as columns of symbols, and of expressions in these symbols.
 
-    entries    the entries of J that are not constant, row by row
+    places     rows and columns of the entries of J that are not constant, row by row
+    entries    these entries
     factors    expressions in the symbols `diagonal` and `jac`, which represent the diagonal and `entries`
     accurate   expression in the same symbols: 1 if the factors are accurate, else 0
     k          the solution, expressions in the symbols `lu`, which represent the factors, and b
     """
 
+    places: Sequence[Entry]
     entries: ca.SX
     diagonal: ca.SX
     jac: ca.SX
@@ -58,6 +60,7 @@ def eliminate(jacobian: ca.SX) -> Elimination:
     lu, b = ca.SX.sym("lu", len(stored)), ca.SX.sym("b", n)
     factors = matrix | dict(zip(stored, ca.vertsplit(lu), strict=True))
     return Elimination(
+        places=variable,
         entries=column(*(values[entry] for entry in variable)),
         diagonal=diagonal,
         jac=jac,

@@ -4,7 +4,9 @@ Inputs are commands, supply and payload. Only differences from the declarations 
 """
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from fmus.composition import compose
 from fmus.contract import Subsystem, quantities
@@ -50,6 +52,7 @@ def one_block(
     )
 
 
+@cache
 def harvester_block(machine: Machine = FERIC) -> Subsystem:
     """The harvester composed of swing, boom_stick and manipulator, with their parameter values."""
     text = "Forestry harvester: swing, boom and stick drives and the manipulator as one block"
@@ -57,6 +60,13 @@ def harvester_block(machine: Machine = FERIC) -> Subsystem:
 
 
 HIDDEN = tuple(hidden(FERIC))
-HARVESTER = harvester_block()
 
-__all__ = ["HARVESTER", "harvester_block", "one_block"]
+
+def __getattr__(name: str) -> Any:
+    """HARVESTER: that of the paper, composed when it is first used; a crane does without."""
+    if name == "HARVESTER":
+        return harvester_block()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+__all__ = ["harvester_block", "one_block"]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import Subsystem, quantities, symbolic
+from fmus.contract import Subsystem, Symbolic, quantities, symbolic
 from fmus.controller.harvester import ARM
 from fmus.controller.model import start_pressures
 from fmus.controller.paths import PATHS, start, start_angles
@@ -54,9 +54,14 @@ POSES: Mapping[str, Pose] = {
 }
 
 
-def outputs_at_start(sub: Subsystem, payload: float = 0.0, **parameters: float) -> Mapping[str, float]:
-    """Outputs of a manipulator at its start pose with a payload [kg], and other values of parameters."""
-    model, v = symbolic(sub), values(sub)
+def outputs_at_start(
+    sub: Subsystem, payload: float = 0.0, known: Symbolic | None = None, **parameters: float
+) -> Mapping[str, float]:
+    """Outputs of a manipulator at its start pose with a payload [kg], and other values of parameters.
+
+    known   its expressions, if they are
+    """
+    model, v = known or symbolic(sub), values(sub)
     u, p = list({**v.u, "payload_mass": payload}.values()), list({**v.p, **parameters}.values())
     y = model.function()(model.initial()(list(v.x.values()), u, p), u, p)[1].full()[:, 0]
     return dict(zip(quantities(sub.outputs), map(float, y), strict=True))

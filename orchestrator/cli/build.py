@@ -92,11 +92,10 @@ def build(
 
     description = None
     if crane is not None:
-        from fmus.crane.check import check
-        from fmus.crane.description import read
+        from fmus.crane.check import checked
         from fmus.crane.machine import crane_build
 
-        check(description := read(crane))
+        description, _ = checked(crane)
     with doing("building FMUs") as line:
         made = crane_build(description, parameters, faults) if description else harvester(parameters, faults)
         _tell(made.write(out, versions[fmi], platforms, only or ("*",), line.update))
@@ -132,8 +131,8 @@ def crane(
     """
     require("build", "harvester crane")
     from fmus.crane.axes import capacity
-    from fmus.crane.check import check, table
-    from fmus.crane.description import new, read
+    from fmus.crane.check import checked, table
+    from fmus.crane.description import new
     from fmus.crane.speeds import full_speeds
 
     for name, given, actions in (("drawing", drawing, ("check",)), ("out", out, ("export", "import"))):
@@ -147,8 +146,7 @@ def crane(
 
         print(imported(file, out or file.with_suffix(".toml")))
         return
-    description = read(file)
-    found = check(description)
+    description, found = checked(file)
     if action == "export":
         from fmus.crane.urdf import export, left_out
 

@@ -83,12 +83,10 @@ def identify(
     if crane is not None:
         if free or not joint:
             raise Problem(f"--crane {crane}: expected no --free and no --no-joint: cranes have no refinement")
-        from fmus.crane.check import check
-        from fmus.crane.description import read
+        from fmus.crane.check import checked
         from fmus.identification.crane import run as run_crane
 
-        check(description := read(crane))
-        found = run_crane(description, folder, out)
+        found = run_crane(checked(crane)[0], folder, out)
         print(found.text())
         print("Report: {}, {}".format(*found.write(report / "identification.html")))
         return 0 if found.passed else 3

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Mapping
-from itertools import groupby
 from math import isfinite
 from typing import Any
 
@@ -70,14 +69,15 @@ class AlgebraicLoop:
     def _fill_members(self) -> Iterator[Any]:
         """Fill a structure for each component: calls that set inputs and read outputs, and the derivative."""
         binding, u, y = self._binding, self._arrays["u"], self._arrays["y"]
-        by_component = groupby(self.inputs, key=lambda port: port.component)
-        groups = [(name, [p.variable for p in group]) for name, group in by_component]
+        # also those of which the loop has outputs, but no inputs, as these are not Real
+        inputs_of = {n: [p.variable for p in self.inputs if p.component == n] for n in self._slaves}
+        outputs_of = {n: [p.variable for p in self.outputs if p.component == n] for n in self._slaves}
+        groups = [(n, inputs_of[n], outputs_of[n]) for n in self._slaves if inputs_of[n] or outputs_of[n]]
         members = binding.array(binding.h.LoopMember, [binding.h.LoopMember()] * len(groups))
         self.struct.members, self.struct.member_count = binding.pointer(members), len(groups)
         first = first_output = 0
-        for struct, (name, inputs) in zip(members, groups, strict=False):
+        for struct, (name, inputs, outputs) in zip(members, groups, strict=False):
             slave = self._slaves[name]
-            outputs = [p.variable for p in self.outputs if p.component == name]
             member_u = u[first : first + len(inputs)]
             member_y = y[first_output : first_output + len(outputs)]
             struct.input_reads = binding.program(calls_by_type(slave, inputs, member_u, slave.reader))
@@ -85,7 +85,7 @@ class AlgebraicLoop:
             struct.output_reads = binding.program(calls_by_type(slave, outputs, member_y, slave.reader))
             struct.first_input, struct.input_count = first, len(inputs)
             struct.first_output, struct.output_count = first_output, len(outputs)
-            struct.uses_derivative = slave.interface.directional_derivatives
+            struct.uses_derivative = bool(inputs and outputs) and slave.interface.directional_derivatives
             seed, result = np.zeros(len(inputs)), np.zeros(len(outputs))
             call = _no_derivative
             if struct.uses_derivative:
@@ -130,7 +130,8 @@ class AlgebraicLoop:
         often = f"{counts[h.EVALUATIONS] / max(int(counts[h.SOLVES]), 1):.2g} evaluations each"
         if not self.circular:
             return f"{text}; their values are copied along the connections until nothing changes, {often}"
-        ways = {"directional derivatives" if m.uses_derivative else "differences" for m in self._members}
+        members = [m for m in self._members if m.input_count]
+        ways = {"directional derivatives" if m.uses_derivative else "differences" for m in members}
         how = f"solved at every communication point by Newton's method with {' and '.join(sorted(ways))}"
         worst = self._arrays["residual_norms"][h.WORST]
         return f"{text}: {how}, {often}, residual at most {worst:.0e} of the magnitude"

@@ -179,7 +179,7 @@ class Instants:
         network, texts = self._network, len(self._network.texts.changes)
         network.binding.call("event_exchange", c_double(t))
         found = [self._discrete[place] for place in network.changes[: self._state.changed].tolist()]
-        if found:
+        if found or t <= self._times.start:  # FMUs may have gone through events of their own before
             for call in network.instant_calls:
                 call()
         if self._clocks:

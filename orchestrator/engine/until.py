@@ -11,6 +11,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from math import ulp
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from orchestrator.base.signals import matching
 from orchestrator.base.text import first_names
 from orchestrator.base.units import from_user_unit, number_and_unit
 from orchestrator.data.trace_writer import RowLayout, TraceSink
+from orchestrator.engine.events import TIME_TOLERANCE
 from orchestrator.engine.result import RunEnd
 from orchestrator.ssp.system import System
 
@@ -119,7 +121,11 @@ class Until(TraceSink):
             return end
         interrupted = end.interrupted or isinstance(self.failure, KeyboardInterrupt)
         problem = self.failure if isinstance(self.failure, Problem) else None
-        end = replace(end, t=self.reached, problem=problem, interrupted=interrupted, died=False)
+        last = self.reached + max(TIME_TOLERANCE, 8 * ulp(self.reached))  # as events near a row are in it
+        events = tuple(event for event in end.events if event.time <= last)
+        texts = tuple(change for change in end.texts if change[0] <= last)
+        end = replace(end, t=self.reached, events=events, texts=texts)
+        end = replace(end, problem=problem, interrupted=interrupted, died=False)
         if self.failure:
             return end
         text = self._when.text if isinstance(self._when, Comparison) else "the function says so"

@@ -129,6 +129,41 @@ def test_all_mistakes_are_told_at_once(tmp_path):
     assert tables == ["boom", "jib.four_bar", "jib.four_bar", "payload"]
 
 
+def test_names_that_are_used_are_told_with_other_mistakes(tmp_path, capsys):
+    """By both commands, so that nobody mends a file and then learns that its names will not do."""
+    path = changed(tmp_path, ("[boom]", "[return]"), ("[jib]", "[time]"), ("mass = 370", "mas = 370"))
+    for command in (["crane", "check", path], ["build", "--crane", path, "--out", tmp_path / "out"]):
+        assert main([str(x) for x in command]) == 2
+        told = capsys.readouterr().err
+        assert "[return] unknown key 'mas'" in told
+        assert "[return] expected another name of the joint: Python" in told
+        assert "[time] expected another name of the joint: Modelica" in told
+
+
+DEAD = """
+[arm]
+axis = "-y"
+mass = 100
+centre = [1, 0, 0]
+drive = "cylinder"
+cylinder = { base = [2.6, 0], pin = [2.0, 0], closed = 0.600019, stroke = 0.45, bore = 0.1, rod = 0.05 }
+hydraulics = { valve = "20 mm2" }
+[payload]
+on = "arm"
+at = [1, 0, 0]
+[start]
+arm = "20.146 deg"
+"""
+
+
+def test_the_end_of_a_range_is_on_the_side_of_the_start():
+    """Length^2 = 0.36 + 10.4 (1 - cos q): the piston is closed on both sides of the dead point at 0, 0.12 deg
+    away, less than a step of the search; the end is the one that the arm comes to first."""
+    (arm,) = check(read(Path("dead.toml"), DEAD.encode()))
+    end = np.arccos(1 - (0.600019**2 - 0.36) / 10.4)
+    assert arm.low == pytest.approx(end, rel=1e-9)  # of Newton's method in double precision
+
+
 def test_a_crane_has_joints_in_number():
     """Thousands of tables are refused before their equations are made."""
     text = "".join(f"[j{k}]\n" for k in range(5000))

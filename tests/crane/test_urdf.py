@@ -182,7 +182,14 @@ def test_what_a_crane_has_no_key_for_is_told_and_a_comment(tmp_path):
     assert (arm["stop_from"], arm["stop_at"]) == (-1, 1)
 
 
-NAMES = {"return": "return2", "Boom-Link": "boomlink", "2nd arm": "ndarm", "relief": "relief2", "été": "t"}
+NAMES = {
+    "return": "return2",
+    "Boom-Link": "boomlink",
+    "2nd arm": "ndarm",
+    "relief": "relief2",
+    "été": "ete",
+    "Löffel": "loffel",
+}
 
 
 @pytest.mark.parametrize(("name", "word"), NAMES.items())

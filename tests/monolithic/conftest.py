@@ -44,14 +44,18 @@ ABLE = dict.fromkeys(
 
 @pytest.fixture(scope="session")
 def stopping(tmp_path_factory):
-    """stopping("relay"): a model that stops at its events; without: variables that it does not declare."""
+    """stopping("relay"): a model that stops at its events; without: variables that it does not declare.
+
+    undeclared: it does not declare either what its outputs depend on
+    """
     made = {}
 
-    def make(model: str, without=(), **able: str) -> Path:
-        key = model, tuple(without), tuple(sorted(able.items()))
+    def make(model: str, without=(), undeclared=False, **able: str) -> Path:
+        key = model, tuple(without), undeclared, tuple(sorted(able.items()))
         if key not in made:
             variables = [v for v in tables(str(STOPPING))[model] if v.name not in without]
-            text = Description(model, variables, {"CoSimulation": ABLE | able}).text(3)
+            kinds = {"CoSimulation": ABLE | able}
+            text = Description(model, variables, kinds, undeclared=undeclared).text(3)
             binary = library("stopping", [STOPPING], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
             members = {"modelDescription.xml": text, member(3, model): binary}
             made[key] = packed(tmp_path_factory.mktemp("stopping") / f"{model}.fmu", members)

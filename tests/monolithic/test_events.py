@@ -117,6 +117,41 @@ def test_a_relay_switches_a_room_at_its_time(heated, master):
     assert not [note for note in result.card.notes if "late," in note or "step late" in note]
 
 
+@every_master
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_event_of_the_start_acts(fmu, master, version):
+    """A relay that is on at first switches a warm room off: T' = on - T from 1 mirrors that from 0."""
+    fmus = {"relay": fmu("thermo", version, rolls=True), "room": fmu("room", version, rolls=True)}
+    system = assemble(fmus, HEATED, {"relay.on": True, "room.T": 1.0})
+    result = run(system, stop=STOP, **length(master), master=master, isolate=False)
+    np.testing.assert_array_equal(result["room.on"][:5], 0)
+    # the solver of Model Exchange has a tolerance of 1e-8
+    np.testing.assert_allclose(held(result.events, "relay.on"), switches(STOP), atol=1e-7)
+    np.testing.assert_allclose(result["room.T"], 1.0 - temperature(result.time), atol=1e-6)
+
+
+@pytest.mark.parametrize("master", [m for m in MASTERS.values() if not m.adaptive], ids=str)
+@pytest.mark.parametrize("isolate", [True, False])
+def test_a_relay_switches_a_room_that_declares_no_dependencies(stopping, master, isolate):
+    """Without event mode: the room is in an undeclared loop, of which only the relay has a Real input."""
+    able = {"hasEventMode": "false", "mightReturnEarlyFromDoStep": "false"}
+    fmus = {
+        "relay": stopping("relay", ["y_rate"], undeclared=True, **able),
+        "room": stopping("room", undeclared=True, **able),
+    }
+    result = run(assemble(fmus, HEATED), stop=STOP, step=STEP, master=master, isolate=isolate)
+    t, on = result["room.T"], result["room.on"]
+    np.testing.assert_array_equal(result["relay.y"], t)
+    # the room moves exactly while its input is held
+    np.testing.assert_allclose(t[1:], on[:-1] + (t[:-1] - on[:-1]) * np.exp(-STEP), atol=1e-13)
+    found = result.time[1:][np.diff(on) != 0]
+    late = found - switches(STOP)[: len(found)]
+    # each switch is up to two steps late, and the following ones by as much as those before
+    assert len(found) >= 4
+    assert (late >= 0.0).all()
+    assert (np.diff(late, prepend=0.0) <= 4 * STEP).all()
+
+
 def test_a_ball_bounces_alone(stopping):
     """One FMU needs no rollback: each bounce is where it stops, and the next step begins there."""
     fmu = stopping("ball", canGetAndSetFMUState="false")
@@ -199,6 +234,18 @@ def test_the_events_are_in_a_file(stopping, tmp_path, isolate):
     file.write_text("time,force\n0,1\n")
     quiet.write(tmp_path / "trace.csv")
     assert file.exists()
+
+
+@pytest.mark.parametrize("isolate", [True, False])
+def test_events_after_the_end_are_not_told(stopping, isolate):
+    """A run that ends at a condition has the events until then, although its last steps went on."""
+    system = assemble({"relay": stopping("relay"), "room": stopping("room")}, HEATED)
+    early = run(system, stop=STOP, step=0.1, isolate=isolate, until="room.T > 0.5")
+    assert early.time[-1] < switches(STOP)[0]
+    assert not early.events
+    assert " event" not in early.card.text()
+    ended = run(system, stop=STOP, step=0.1, isolate=isolate, until=lambda t, _: t > 1.0)
+    assert [event.time for event in ended.events] == pytest.approx(switches(STOP)[:1])
 
 
 @pytest.mark.parametrize(
