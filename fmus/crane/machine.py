@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import cache, lru_cache, partial
 from keyword import kwlist
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from fmus import boom_stick, swing
 from fmus import supply as supplies
@@ -58,6 +58,11 @@ from fmus.valve_actuation import actuation
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import MODELICA
 from orchestrator.check.rules.variables import C
+
+if TYPE_CHECKING:  # paths need pictures and runs, which the check of a crane does not
+    from fmus.machine.feasible import Mechanics
+    from fmus.machine.path_following import TrackedMachine
+    from orchestrator.ssp.system import System
 
 FIDELITIES = {  # variant of the drives -> text and range of validity
     "lumped": ("spool valves, hoses, cylinders and motors", "below the first mode of the longest hose"),
@@ -361,3 +366,20 @@ def crane_build(crane: CraneDescription, parameters: Path | None = None, faults:
     except Problem as why:
         note = f"without a controller: {why}"
     return Build(machine, whole, plan, plan, files, note=note)
+
+
+def tracked(system: System) -> tuple[TrackedMachine, Mechanics] | None:
+    """Names and mechanics of a crane that follows paths; None: the system is none of a crane."""
+    from fmus.machine.feasible import Mechanics
+    from fmus.machine.path_following import TrackedMachine
+    from fmus.machine.ssp import CONTROLLED, SENSED
+
+    if (file := system.resources.get(SOURCE)) is None:
+        return None
+    crane = read(Path(str(file)), file.read())
+    controlled(crane)  # tells why the machine has no controller
+    machine, name = crane_machine(crane), system.name.removesuffix(CONTROLLED).removesuffix(SENSED)
+    tip = tuple(f"{NAME}.crane_tip_{n}" for n in ("radius", "height", "angle"))
+    own = TrackedMachine(example=f"{name}{CONTROLLED}.ssp", alone="drives=lumped", tip=tip)
+    assert machine.controller is not None
+    return own, Mechanics(machine.controller, machine.parts[NAME])

@@ -96,7 +96,7 @@ def track(
     """
     require("model", "harvester track")
     from fmus.controller.paths import route_start_angles, start_angles, write_route
-    from fmus.crane.tracking import tracked
+    from fmus.crane.machine import tracked
     from fmus.machine.feasible import MECHANICS
     from fmus.machine.parts import MACHINES
     from fmus.machine.path_following import HARVESTER, first_point

@@ -27,12 +27,11 @@ from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.network import Network
 from orchestrator.engine.result import Event
 from orchestrator.engine.stepped_fmu import SteppedFmu
-from orchestrator.engine.time_grid import Grid
+from orchestrator.engine.time_grid import TIME_TOLERANCE, Grid
 from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled, settle
 
-TIME_TOLERANCE = 1e-11  # of the time of an event [s], and
-SHARE_OF_STEP = 1e-6  # of the step, if that is less
+SHARE_OF_STEP = 1e-6  # of the step: tolerance of the time of an event, if less than TIME_TOLERANCE
 CLOSE = 1e-6  # of a step: events that are closer follow each other without progress
 MOST_CLOSE_EVENTS = 200  # in a row
 

@@ -255,7 +255,7 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
                 raise Problem(f"{label}: column {name!r} drives {port}, which another column drives too")
             unit = system.inputs[name].unit if name in system.inputs else system.unit(port)
             given = trace.units.get(name)
-            if given and given != (unit.name if unit else "1"):
+            if unit and given and given != unit.name:
                 linear = from_user_unit(given, unit, f"{label}: column {name!r}").then(linear)
             columns[port] = (k, linear)
     table = np.stack([np.asarray(v, dtype=np.float64) for v in trace.signals.values()], axis=1)

@@ -15,6 +15,7 @@ from orchestrator.ssp.system import System
 
 DEFAULT_STEP = 1e-3  # [s], without any suggestion
 RESOLUTION = 1000  # shortest step over the rounding unit of the times, so that steps are equal to 0.1 %
+TIME_TOLERANCE = 1e-11  # of the time of an event [s]
 SAME_EVENT = 1e-9  # of the step: corners of a scenario that are closer, such as one at a point, are one
 DEFAULT_DURATION = 1.0  # [s], without any suggestion, as in FMPy
 MAX_STEPS = 10**12  # some weeks of the fastest FMUs

@@ -23,8 +23,8 @@ from orchestrator.base.signals import matching
 from orchestrator.base.text import first_names
 from orchestrator.base.units import from_user_unit, number_and_unit
 from orchestrator.data.trace_writer import RowLayout, TraceSink
-from orchestrator.engine.events import TIME_TOLERANCE
 from orchestrator.engine.result import RunEnd
+from orchestrator.engine.time_grid import TIME_TOLERANCE
 from orchestrator.ssp.system import System
 
 RELATIONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}

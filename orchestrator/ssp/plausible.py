@@ -81,6 +81,8 @@ def doubtful_columns(
     for port, (k, linear) in columns.items():
         values = linear.factor * trace.signals[names[k]] + linear.offset
         yield doubtful(system, port, values, f"{label}: column {names[k]}", peak=True)
+        if system.unit(port) is None and (unit := trace.units.get(names[k], "1")) != "1":
+            yield f"{label}: column {names[k]}: no unit of {port} is defined; its values are taken in {unit}."
     yield doubtful_end(system, trace, label)
 
 

@@ -20,8 +20,7 @@ from fmus.controller.arm import Cylindrical
 from fmus.controller.paths import start_angles, write_route
 from fmus.crane.controller import controlled
 from fmus.crane.description import read
-from fmus.crane.machine import crane_machine
-from fmus.crane.tracking import tracked
+from fmus.crane.machine import crane_machine, tracked
 from fmus.machine.path_following import follow
 from fmus.machine.poses import outputs_at_start
 from fmus.machine.sway import sway

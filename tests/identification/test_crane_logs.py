@@ -41,7 +41,7 @@ on = "boom"
 at = ["3 m", 0, 0]
 [start]
 boom = "20 deg"
-"""  # noqa: E501
+"""  # noqa: E501  (tables of TOML on one line)
 TRUE = {
     "drives.boom_valve_area": 2.3e-5,
     "drives.boom_valve_dead_band": 0.75,
@@ -201,6 +201,17 @@ def test_a_log_too_short_for_the_filters_is_named(described, simulated, tmp_path
     path = log({n: x[:12] for n, x in simulated.items()}, tmp_path)
     with pytest.raises(Problem, match=r"log.csv: 12 samples, expected 39 or more for the filters"):
         identify(Crane(described), path)
+
+
+def test_areas_of_another_kind_of_valve_are_refused(described, simulated, tmp_path):
+    """A flow that grows with the square of the command leaves residuals far above the noise: no areas."""
+    command = simulated["boom_command"]
+    other = simulated | {"boom_command": np.sign(command) * np.sqrt(5 * np.abs(command))}
+    report = run(described, log(other, tmp_path), tmp_path / "found.toml")
+    (told,) = (x for x in report.data["missing"] if x.startswith("boom: valve"))
+    assert "times the noise, expected 5 at most: another kind of valve" in told
+    assert "boom_valve_area" not in (tmp_path / "found.toml").read_text(encoding="utf-8")
+    assert not report.passed
 
 
 def test_rounded_readings_have_an_error(described, simulated, tmp_path):

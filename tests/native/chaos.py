@@ -49,7 +49,7 @@ def outcome(folder: Path, seed: int) -> str:
 
 if __name__ == "__main__":
     engine, place, first, count = sys.argv[1:]
-    c_library.shared_library = lambda *_: Path(engine)  # type: ignore[assignment]
+    c_library.shared_library = lambda *_: Path(engine)  # type: ignore[assignment]  # that with sanitizers
     found = Counter[str]()
     for number in range(int(first), int(first) + int(count)):
         print(f"seed {number}", file=sys.stderr)  # a sanitizer ends the process there

@@ -133,11 +133,18 @@ def test_wrong_columns_of_a_scenario_are_refused(oscillator, column, message):
     problem(lambda: run(oscillator, Trace(np.array([0.0, 1.0]), {column: np.zeros(2)})), message)
 
 
-@table(__file__, "samples", "column, values, unit, message")
-def test_samples_that_do_not_fit_the_input_are_refused(chatter, column, values, unit, message):
-    """As `--set` refuses them: no rounding, and no conversion to a unit that the FMU does not have."""
-    trace = Trace(np.array([0.0, 0.25, 1.0]), {column: np.array(values)}, {column: unit} if unit else {})
-    problem(lambda: run(chatter, trace), message)
+@table(__file__, "samples", "column, values, message")
+def test_samples_that_do_not_fit_the_input_are_refused(chatter, column, values, message):
+    """As `--set` refuses them: no rounding."""
+    problem(lambda: run(chatter, Trace(np.array([0.0, 0.25, 1.0]), {column: np.array(values)})), message)
+
+
+def test_a_unit_on_an_input_that_has_none_is_told(chatter):
+    """The values are taken as they are in the trace, in SI units."""
+    trace = Trace(np.array([0.0, 1.0]), {"p.real_in": np.array([0.0, 1e5])}, {"p.real_in": "Pa"})
+    told = "scenario: column p.real_in: no unit of p.real_in is defined; its values are taken in Pa."
+    result = run(chatter, trace, stop=1.0, record=["p.real_in"])
+    assert (result["p.real_in"][-1], told in result.card.warnings) == (1e5, True)
 
 
 def test_a_scenario_without_columns_is_refused(chatter):

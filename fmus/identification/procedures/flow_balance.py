@@ -48,6 +48,9 @@ PRIOR = 1.0  # standard deviation over the value of the file
 LEAST = {"V": 0.5, "m3/(s.Pa)": 1e-11}
 # sd of estimates from drives with oil columns without noise, over the value; seen of five cranes, not derived
 LAW_OFF = {"m2": 1e-3, "V": 3e-3, "m3/(s.Pa)": 5e-3, "m3/Pa": 0.05}
+# residuals over the noise above which the law is another one: drives with oil columns had 3.1 at most,
+# compensated sections 16 to 18
+ANOTHER = 5.0
 NOTE = "flow balance of the function"
 
 
@@ -179,6 +182,11 @@ class Function:
                 raise Problem(f"expected a stretch without a gap or clipped sample and {filled}, got none")
             return [(s, along) for s, along in found if s.starts.size]
 
+        def fitting(fit: Fit) -> None:
+            if (times := fit.solution.fit.times_noise) > ANOTHER:
+                told = f"residuals of {times:.3g} times the noise, expected {ANOTHER:g} at most"
+                raise Problem(f"{told}: another kind of valve, such as a compensated section")
+
         def estimates(fit: Fit) -> Iterator[Estimate]:
             for n, (_, unit) in self.start.items():
                 if fit.sd(n) <= balance.DETERMINED * priors[n]:
@@ -218,4 +226,5 @@ class Function:
             panels=panels,
             remarks=remarks,
             findings=findings,
+            check=fitting,
         )

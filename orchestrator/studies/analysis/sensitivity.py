@@ -38,6 +38,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,6 +170,11 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
     return Sensitivity(MORRIS, MU_STAR, complete, float(design.y.var()), largest_first, notes=tuple(notes))
 
 
+def _mean(values: Array, rows: Rows) -> Array:
+    """Mean of the values with these indices, shape (1,)."""
+    return np.array([values[rows].mean()])
+
+
 def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
     """mu* of crossed choices: mean absolute difference between two options, all else equal."""
     y = design.y.reshape(-1, width, *(len(choice.options) for choice in design.crossed))
@@ -178,7 +184,7 @@ def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
         first, second = np.triu_indices(len(choice.options), 1)
         change = options[..., second] - options[..., first]
         magnitude = np.abs(change).reshape(len(y), -1).mean(axis=1)
-        star = intervals(lambda rows, m=magnitude: np.array([m[rows].mean()]), len(y))[0]  # type: ignore[misc]
+        (star,) = intervals(partial(_mean, magnitude), len(y))
         more = {"mu": float(change.mean()), "sigma": float(change.std())}
         effects.append(Effect(choice.name, choice.kind, {MU_STAR: star}, more))
     return effects
