@@ -276,7 +276,8 @@ def _simulate(seeds: range, kind: int, what: str, file: Path) -> None:
         print(f"  kind {kind}, {recording}: {np.isfinite(table).all(axis=(1, 2)).sum()} machines", flush=True)
     machines.close()
     FOLDER.mkdir(parents=True, exist_ok=True)
-    np.savez(file, **stored)
+    np.savez(part := file.with_suffix(".part.npz"), **stored)
+    part.rename(file)  # whole, or not there
 
 
 def failed(values: Column, time: Any, case: Case) -> Column:
