@@ -305,10 +305,13 @@ def sensed(truth: Columns, seed: int, case: Case | None = None, part: int = 0) -
             now = now + zeros[n] + noise.normal(0, 1e4, len(now))
         elif n.endswith("speed"):
             now = now + noise.normal(0, 2e-3, len(now))
-        if case and case.does and case.fault == n:
+        wrong = case.does if case and case.fault == n else ""
+        if case and wrong in ("off", "stuck"):
             now = failed(now, time, case)
-        elif n in zeros:
-            now = np.clip(now, -1e5, 6e7)
+        if n in zeros:
+            now = np.clip(now, -1e5, 6e7)  # the range of a sensor that is connected
+        if case and wrong == "lost":
+            now = failed(now, time, case)
         step = bar if n in zeros else degree if n.endswith("angle") else 1e-4
         found[n] = now if n == "oil_temperature" else step * np.round(now / step)
     return found
