@@ -111,6 +111,7 @@ class Diagnosis:
             flow = sum(ca.fmax(way * f, 0) for a in axes for f in a.flows)
             flow = m.lag(f"late_{n}_flow", flow, LAG, f"Flow of the {n} line", "m3/s", True)
             pressure = m.lag(f"late_{n}", getattr(u, f"{n}_pressure"), LAG, f"Pressure of the {n} line", "Pa")
+            least = ca.fmax(least, p.pressure_resolution / BAR)  # what is rounded has errors that last
             fits[n], late[n] = Fit(m, n, priors, least, rough), (flow, pressure)
             counts *= sound * whether(flow > WORKING)
             fits[n].adds(counts / LAG, [([flow / FLOW, 1], pressure / BAR)], memory)

@@ -43,8 +43,9 @@ LONGER = 1.5  # s, after which a chamber is at rest, and its arm as well
 LOWEST = -5e5  # Pa: a chamber is empty at -1 bar; zeros are off by 3 bar
 END = 0.98  # of the highest pressure that is a reading: a sensor at the end of its range
 MOVES = 0.015  # rad/s, at which a joint moves: five times the noise of angle and speed
-JUMP, FASTEST = 0.06, 9.9  # rad, rad/s: step of an angle beyond its speed, speed of a gyroscope, at most
+JUMP, FASTEST = 0.06, 9.9  # rad, rad/s: step of an angle beyond its speeds, speed of a gyroscope, at most
 STILL = (1e-5, 1e-6, 2e3, 2e3)  # rad, rad/s, Pa: distance from its lag at which a reading stands still
+STEADY = 6e-3  # rad/s, three times the noise of a speed: from its lag, at 0.2 rad/s2
 LIVELY, STEPS = 5e3, 5  # Pa, and resolutions, from the lag of a pressure that changes
 LOADED = 20  # resolutions: a pressure below it may be as even as that of the return line
 DOUBTED = 0.5  # of the time for which it stands still: half of the evidence
@@ -92,7 +93,8 @@ class Axis:
         self._bad = [m.state(f"bad_{k}", f"1: the reading of {n} is wrong") for k, n in enumerate(signals)]
         fast = whether(ca.fabs(self.readings[1]) > FASTEST)
         moved = self.behind[0] - self.fitted[1] * (1 - fast) * p.lag * self.late[1]
-        self.outside = [whether(ca.fabs(moved) > JUMP), fast, *(outside(v, p) for v in self.pressures)]
+        jump = JUMP + p.lag * ca.fabs(self.readings[1])  # at an impact a speed turns within the lag
+        self.outside = [whether(ca.fabs(moved) > jump), fast, *(outside(v, p) for v in self.pressures)]
         rows = zip(self.outside, self._bad, self.fitted, strict=True)
         self.faulty = [either(out, bad, 1 - known) for out, bad, known in rows]
         # the command behind the lag of the readings, and behind a play
@@ -197,9 +199,12 @@ class Axis:
         differ = whether(ca.fabs(self.rate[0] - self.late[1]) > moves)
         lively, least = LIVELY + STEPS * p.pressure_resolution, p.zero_limit + LOADED * p.pressure_resolution
         changes = [turns * (1 - self.outside[1]) * differ, goes * (1 - self.outside[0]) * differ]
-        for pressure, other in zip(self.pressures, self.behind[:1:-1], strict=True):
-            # an empty chamber has a constant pressure
-            changes.append(whether(ca.fabs(other) > lively) * whether(pressure > least))
+        steady = whether(ca.fabs(self.behind[1]) < STEADY) * self.fitted[1]
+        for pressure, other, way in zip(self.pressures, self.behind[:1:-1], (1, -1), strict=True):
+            # an empty chamber has a constant pressure, and one that is emptied at a constant speed may have
+            constant = steady * turns * whether(way * self.lever * self.readings[1] < 0)
+            seen = whether(ca.fabs(other) > lively) * whether(pressure > least)
+            changes.append(seen * (1 - constant))
         self.doubted = list[Scalar]()
         for k, n in enumerate(signals_of(self.axis)):
             still = whether(ca.fabs(self.behind[k]) < STILL[k]) * self.connected

@@ -19,7 +19,7 @@ turns out to have. A sample counts if u has moved on by `TRAVEL` since it turned
 cavitation valve is, and the drop over it is not small. It counts less by the error of v that the largest zero
 p_0 of a sensor makes, a (U - D) p_0/(2 (dP - f dp)): v is off by half of the share of a pressure in the drop.
 Of compensated sections the least drop of all that are open counts: they share the flow of a pump that cannot
-give more.
+give more. They do not count while the pump is at its highest pressure, where its margin is gone.
 
 Gain and dead band are judged together, by the mean of v over all samples of a direction. What is wrong in a
 single stroke may be its model, so it is a fault in the second stroke at whose end it is one. The lag is a
@@ -40,6 +40,7 @@ from fmus.diagnosis.readings import LEAST_DROP, PRESSURE, TRAVEL, Axis
 from fmus.diagnosis.unknowns import EDGES, LITRE, MAP, of_axis
 
 REGULATED = 1.8e6  # Pa, drop from which a compensated section holds its flow: 0.9 of the margin of the pump
+CUT_OFF = 0.95  # of the nominal supply pressure, from which a load-sensing pump has no margin for certain
 ROUGH = 0.15  # V, deviation of the command of an opening
 WHOLE = 1.0  # of the drop over the edge, up to which that of a hose counts in linear terms
 TRANSITION = 10.0  # Reynolds number of an edge at which both laws cross: 9.6 to 15.6, see orifice.py
@@ -71,6 +72,7 @@ def _map_equation(a: Axis, healthy: Scalar) -> tuple[Scalar, Equations]:
         * whether(hose < WHOLE)
         * whether(drop > ca.if_else(a.compensated > 0, REGULATED, LEAST_DROP))
         * whether(filled > CALM)
+        * (1 - a.compensated * whether(a.u.supply_pressure > CUT_OFF * a.p.nominal_supply_pressure))
         * whether(ca.fabs(gone) > 0.9)
         * (1 - a.closed)
         * ca.if_else(up > 0, *a.full)
