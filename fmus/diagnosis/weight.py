@@ -39,19 +39,22 @@ from fmus.parameters import values
 
 TORQUE, FORCE, HUNDRED = 1e4, 1e4, 100.0  # N.m, N, kg: scales
 LAG = 0.25  # s, of torques: half a period of an arm on its oil; after 1.5 s less than 1 % of a change is left
-SLOW = 5e-3  # m/s, over which the sign of a speed is rounded
+SLIP = 1e-4  # m, after a turn of the piston until it slides: shear of the lips of its seals
 LEFT = 0.05  # of a torque at the end of a stroke
 NOISE = 200.0  # N.m, s: of a torque
 FOLLOWED = 20.0  # s, in which the variance of H follows
 SWINGS = 3.0  # s, in which a head swings: a force that lasts is no scatter, but a wrong pressure or a slope
-STEADY, SWINGING, LARGEST = 30.0, 300.0, 1e3  # N, root of that variance: at least, at the start, at most
+# N, root of that variance: at least, at the start, half of a head that swings, at most: half of the weight
+STEADY, UNKNOWN, SWINGING, LARGEST = 30.0, 300.0, 600.0, 5e3
 JUMPED = 9.0  # times the variance: what counts of a larger force, which may be a change of payload
 END = 0.01  # m, from the end of a stroke
 ERROR = 5.0  # kg, what masses that are off add to a deviation: 1 % of the arm, after the tare
-HELD = 6.0  # s, for which a payload is kept: some periods of a head that swings
-CHANGED, SCATTERS = 0.3, 2.0  # hundred kg, and deviations of a reading, from which a payload is another one
-SETTLING = 1.0  # s, four lags, in which the torque of another payload comes
-SURE = 1.5  # s, in which it is forgotten where it has changed by both
+POWER = 3  # of the time since a change: what counts of a reading
+KEPT, HELD = 5.0, 6.0  # s, for which a payload is weighed, some periods of a head that swings; kept without
+PERIOD = 1.2  # s, of the vertical force of a head that swings, half of its own period: the least window
+CHANGED, SCATTERS = 0.3, 2.0  # hundred kg, and deviations, from which a payload is another one
+SMOOTH, FOUND = 0.4, 8.0  # s, a third of a period, twice, over which it is seen; in which its scatter is found
+SETTLING = 0.5  # s, two lags, in which the torque of another payload comes
 DRIFT, FAULT = 0.05, 10.0  # of FORCE: of a cylinder by its readings, 0.5 bar; by a wrong pressure
 TARE_MEMORY = 300.0  # s, all of the healthy work from which it is learned
 BALANCE_MEMORY = 30.0  # s, some strokes of the swing, which tell a slope from a sensor
@@ -106,7 +109,7 @@ def balance(a: Axis, efforts: Efforts) -> Mapping[str, Scalar]:
     lever     of a horizontal force at the tip [m]
     zero      of a force of its cylinder, its lever [m]
     empty_tilt, payload_tilt   by a slope per rad: of the empty arm, of a kilogram of payload
-    held      by dry friction of which the direction is not known, because the piston rests
+    moving    of a kilogram of payload, by its motion alone
     """
     m, speed, columns = a.m, a.lever * a.readings[1], dict[str, Scalar]()
     stroke = getattr(a.p, a.axis.name).stroke
@@ -118,20 +121,22 @@ def balance(a: Axis, efforts: Efforts) -> Mapping[str, Scalar]:
         late = m.lag(f"{n}_torque", torque, LAG, f"Torque of {n}, and its weight", "N.m")
         change = momentum - m.lag(f"{n}_momentum", momentum, LAG, f"Momentum of {n}", "N.m.s")
         columns[n] = counts * (late + change / LAG)
-    shapes = a.lever * speed / ca.sqrt(speed**2 + SLOW**2), a.lever * speed, a.lever
+        columns["moving"] = counts * change / LAG if n == "payload" else columns.get("moving", 0)
+    slip = m.state("slip", "Dry friction over that of a piston that slides")
+    m.moves("slip", ca.fmin(ca.fmax(speed / SLIP, (-1 - slip) / QUICK), (1 - slip) / QUICK))
+    shapes = a.lever * slip, a.lever * speed, a.lever
     dry, damping, zero = (
-        counts * m.lag(f"late_{n}", shape, LAG, f"Torque per size of {n}")
+        counts * m.lag(f"late_{n}", shape, LAG, f"Torque per size of {n}", zero=shape is shapes[0])
         for n, shape in zip(FRICTION, shapes, strict=True)
     )
     columns |= {f"{a.axis.name}_{n}": v for n, v in zip(FRICTION, (dry, damping, zero), strict=True)}
-    held = a.reference(FRICTION[0]) * ca.sqrt(ca.fmax(zero**2 - dry**2, 0) / 3)  # of an even distribution
     for n in ("empty", "payload"):
         tilt = m.lag(f"{n}_tilt", efforts[n][2], LAG, f"Torque by a slope, {n}", "N.m/rad")
         columns[f"{n}_tilt"] = counts * tilt
     force = a.lever * a.actuator.force(*a.pressures)
     torque = counts * m.lag("torque", force, LAG, "Torque of the cylinder", "N.m") - columns["empty"]
     lever = counts * m.lag("late_arm", a.radial, LAG, "Lever of a horizontal force at the tip", "m")
-    return columns | {"counts": counts, "torque": torque, "lever": lever, "zero": zero, "held": held}
+    return columns | {"counts": counts, "torque": torque, "lever": lever, "zero": zero}
 
 
 def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
@@ -151,38 +156,53 @@ def weighed(
     slewing   angle of the column [rad]
     """
     count, cylinders = sum(b["counts"] for b in balances), len(balances)
-    trust = ca.vertcat(*(NOISE / ca.sqrt(NOISE**2 + b["held"] ** 2) for b in balances))
-    torque, h, load, empty_tilt, load_tilt, zero = (
-        trust * ca.vertcat(*(b[n] for b in balances))
-        for n in ("torque", "lever", "payload", "empty_tilt", "payload_tilt", "zero")
+    torque, h, empty, load, moving, empty_tilt, load_tilt, zero = (
+        ca.vertcat(*(b[n] for b in balances))
+        for n in ("torque", "lever", "empty", "payload", "moving", "empty_tilt", "payload_tilt", "zero")
     )
-    mean = m.state("horizontal_square", "Variance of a horizontal force at the tip", "N2", SWINGING**2)
+    mean = m.state("horizontal_square", "Variance of a horizontal force at the tip", "N2", UNKNOWN**2)
     square = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2)
     free, noise = [(p.slope, 0), (p.slope, 0), (20.0, 0.0)], (NOISE / TORQUE, 0.1)
     of_load = Fit(m, "payload", [*((DRIFT, 0) for _ in range(cylinders)), *free], *noise, weighed=True)
     loose = [*((FAULT, 0) for _ in range(cylinders)), *free]  # the same sums by other priors
     of_fault = Fit(m, "payload", loose, *noise, rare=cylinders, signed=True, weighed=True)
-    *_, (size, off) = of_load.sizes
+    *_, (a, _), (b, _), (size, off) = of_load.sizes
     off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)
     # the payload, without the tare; what is known of it is forgotten at a change
-    own = (ca.horzcat(*(b.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances)
-    rows = ca.diag(trust) @ ca.vertcat(*own)
-    left = torque - rows @ ca.vertcat(*(reference(n, p) for n in tare))
+    rows = ca.vertcat(*(ca.horzcat(*(b.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances))
+    swings, less = mean / (mean + SWINGING**2), (a**2 + b**2) / 2
+    left = torque - rows @ ca.vertcat(*(reference(n, p) for n in tare)) + less * empty
+    left -= HUNDRED * size * swings * moving
+    load -= swings * moving + less * load
     tilt = empty_tilt + HUNDRED * size * load_tilt
     slopes = ca.cos(slewing) * tilt, ca.sin(slewing) * tilt
     table = ca.horzcat(FORCE * ca.diag(zero), *slopes, HUNDRED * load, left) / TORQUE
     calm, sizes = without_horizontal(table, h, square), ca.vertcat(*(v for v, _ in of_load.sizes))
     known = sum(c[-1] ** 2 for c, _ in calm) + 1e-9
     change = sum(c[-1] * (y - ca.dot(ca.vertcat(*c), sizes)) for c, y in calm) / known
-    # a change is more than the scatter of single readings
-    large = change**2 / (CHANGED**2 + SCATTERS**2 * of_load.solution[2] / known)
+    any_counts, both = whether(count > 0), whether(count > 1)
+    # a change is more than the scatter of what readings say over a period of the head
+    late = [m.state(f"change_{k}", "Change of the payload behind lags") for k in range(2)]
+    scatter, since = m.state("scatter", "Its variance"), m.state("since", "Time of weighing since a change", "s")
+    least = 1 + (PERIOD / ca.fmax(since, LAG)) ** 2
+    large = late[1] ** 2 / (CHANGED**2 + SCATTERS**2 * least * scatter)
     changed = m.state("changed", "1: the payload has changed; fades")
     m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / SETTLING))
-    changes = 1 / HELD + changed / LAG + large**2 / SURE
-    any_counts, both = whether(count > 0), whether(count > 1)
+    jumps = changed / LAG
+    for k, now in enumerate((change, late[0])):
+        m.moves(f"change_{k}", any_counts * (now - late[k]) / SMOOTH - jumps * late[k])
+    calm_now = any_counts * whether(changed < LEFT) * whether(since > PERIOD)
+    m.moves("scatter", calm_now * (ca.fmin(late[1] ** 2, JUMPED * (scatter + LEFT**2)) - scatter) / FOUND)
+    m.moves("since", any_counts * whether(since < KEPT) - jumps * ca.fmax(since - PERIOD * swings, 0))
+    fresh = 1 / ca.fmax(since, 2 * (POWER + 3) * QUICK)
+    changes = any_counts * POWER * fresh + (1 - any_counts) / HELD
     # it may be the begin of a fault, so all that was known before counts less
-    memory = 1 / (1 / BALANCE_MEMORY + changed / SETTLING)
-    of_load.adds(any_counts / LAG, calm, memory, any_counts, ca.fmin(changes, 0.5 / QUICK))
+    memory = 1 / (1 / BALANCE_MEMORY + changed)
+    of_load.adds(any_counts / LAG, calm, memory, any_counts, changes)
+    payload = size
+    for k in (2, 3):
+        now, payload = payload, m.state(f"payload_mean_{k}", "Payload, mean since a change")
+        m.moves(f"payload_mean_{k}", any_counts * (POWER + k) * fresh * (now - payload))
     # what is left is a horizontal force; one cylinder alone cannot tell it from a payload
     horizontal = TORQUE * ca.dot(h, table @ ca.vertcat(-sizes, 1)) / (ca.sumsqr(h) + 1e-9)
     lasting = m.lag("horizontal", both * horizontal, SWINGS, "Horizontal force at the tip", "N", True)
@@ -203,4 +223,4 @@ def weighed(
     known = whether(of_tare.samples > FEWEST) - 1
     sized = zip(tare, scales, of_tare.sizes, strict=True)
     told = {n: (scale * v, scale * d, known) for n, scale, (v, d) in sized}
-    return (HUNDRED * size, HUNDRED * off), told | {"weighing": (force, off_force, state)}
+    return (HUNDRED * payload, HUNDRED * off), told | {"weighing": (force, off_force, state)}
