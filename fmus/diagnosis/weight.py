@@ -48,12 +48,14 @@ SWINGS = 3.0  # s, in which a head swings: a force that lasts is no scatter, but
 STEADY, UNKNOWN, SWINGING, LARGEST = 30.0, 300.0, 600.0, 5e3
 JUMPED = 9.0  # times the variance: what counts of a larger force, which may be a change of payload
 END = 0.01  # m, from the end of a stroke
+LEFT_OVER = 0.35
 ERROR = 5.0  # kg, what masses that are off add to a deviation: 1 % of the arm, after the tare
 POWER = 3  # of the time since a change: what counts of a reading
 KEPT, HELD = 5.0, 6.0  # s, for which a payload is weighed, some periods of a head that swings; kept without
 PERIOD = 1.2  # s, of the vertical force of a head that swings, half of its own period: the least window
 CHANGED, SCATTERS = 0.3, 2.0  # hundred kg, and deviations, from which a payload is another one
 SMOOTH, FOUND = 0.4, 8.0  # s, a third of a period, twice, over which it is seen; in which its scatter is found
+SURE = 1.5  # s, in which a payload is forgotten where it has changed by both
 SETTLING = 0.5  # s, two lags, in which the torque of another payload comes
 DRIFT, FAULT = 0.05, 10.0  # of FORCE: of a cylinder by its readings, 0.5 bar; by a wrong pressure
 TARE_MEMORY = 300.0  # s, all of the healthy work from which it is learned
@@ -160,17 +162,17 @@ def weighed(
         ca.vertcat(*(b[n] for b in balances))
         for n in ("torque", "lever", "empty", "payload", "moving", "empty_tilt", "payload_tilt", "zero")
     )
-    mean = m.state("horizontal_square", "Variance of a horizontal force at the tip", "N2", UNKNOWN**2)
-    square = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2)
+    average = m.state("horizontal_square", "Variance of a horizontal force at the tip", "N2", UNKNOWN**2)
+    square = ca.fmin(ca.fmax(average, STEADY**2), LARGEST**2)
     free, noise = [(p.slope, 0), (p.slope, 0), (20.0, 0.0)], (NOISE / TORQUE, 0.1)
     of_load = Fit(m, "payload", [*((DRIFT, 0) for _ in range(cylinders)), *free], *noise, weighed=True)
     loose = [*((FAULT, 0) for _ in range(cylinders)), *free]  # the same sums by other priors
     of_fault = Fit(m, "payload", loose, *noise, rare=cylinders, signed=True, weighed=True)
     *_, (a, _), (b, _), (size, off) = of_load.sizes
-    off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)
+    off = ca.sqrt((LEFT_OVER * off) ** 2 + (ERROR / HUNDRED) ** 2)
     # the payload, without the tare; what is known of it is forgotten at a change
     rows = ca.vertcat(*(ca.horzcat(*(b.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances))
-    swings, less = mean / (mean + SWINGING**2), (a**2 + b**2) / 2
+    swings, less = average / (average + SWINGING**2), (a**2 + b**2) / 2
     left = torque - rows @ ca.vertcat(*(reference(n, p) for n in tare)) + less * empty
     left -= HUNDRED * size * swings * moving
     load -= swings * moving + less * load
@@ -185,9 +187,11 @@ def weighed(
     late = [m.state(f"change_{k}", "Change of the payload behind lags") for k in range(2)]
     scatter, since = m.state("scatter", "Its variance"), m.state("since", "Time of weighing since a change", "s")
     least = 1 + (PERIOD / ca.fmax(since, LAG)) ** 2
-    large = late[1] ** 2 / (CHANGED**2 + SCATTERS**2 * least * scatter)
+    hangs = whether(swings > 0.5)
+    now, spread = ca.if_else(hangs > 0, late[1], change), of_load.solution[2] / known
+    large = now**2 / (CHANGED**2 + SCATTERS**2 * ca.if_else(hangs > 0, least * scatter, spread))
     changed = m.state("changed", "1: the payload has changed; fades")
-    m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / SETTLING))
+    m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / (SETTLING * (2 - hangs))))
     jumps = changed / LAG
     for k, now in enumerate((change, late[0])):
         m.moves(f"change_{k}", any_counts * (now - late[k]) / SMOOTH - jumps * late[k])
@@ -195,19 +199,21 @@ def weighed(
     m.moves("scatter", calm_now * (ca.fmin(late[1] ** 2, JUMPED * (scatter + LEFT**2)) - scatter) / FOUND)
     m.moves("since", any_counts * whether(since < KEPT) - jumps * ca.fmax(since - PERIOD * swings, 0))
     fresh = 1 / ca.fmax(since, 2 * (POWER + 3) * QUICK)
-    changes = any_counts * POWER * fresh + (1 - any_counts) / HELD
+    held = ca.if_else(any_counts * hangs > 0, POWER * fresh, 1 / HELD)
+    changes = held + (1 - hangs) * (jumps + large**2 / SURE)
     # it may be the begin of a fault, so all that was known before counts less
     memory = 1 / (1 / BALANCE_MEMORY + changed)
-    of_load.adds(any_counts / LAG, calm, memory, any_counts, changes)
-    payload = size
+    of_load.adds(any_counts / LAG, calm, memory, any_counts, ca.fmin(changes, 0.5 / QUICK))
+    mean = size
     for k in (2, 3):
-        now, payload = payload, m.state(f"payload_mean_{k}", "Payload, mean since a change")
-        m.moves(f"payload_mean_{k}", any_counts * (POWER + k) * fresh * (now - payload))
+        now, mean = mean, m.state(f"payload_mean_{k}", "Payload, mean since a change")
+        m.moves(f"payload_mean_{k}", any_counts * (POWER + k) * fresh * (now - mean))
+    payload = ca.if_else(hangs > 0, mean, size)
     # what is left is a horizontal force; one cylinder alone cannot tell it from a payload
     horizontal = TORQUE * ca.dot(h, table @ ca.vertcat(-sizes, 1)) / (ca.sumsqr(h) + 1e-9)
     lasting = m.lag("horizontal", both * horizontal, SWINGS, "Horizontal force at the tip", "N", True)
     off_mean = ca.fmin((horizontal - lasting) ** 2, JUMPED * square)
-    m.moves("horizontal_square", both * (off_mean - mean) / FOLLOWED)
+    m.moves("horizontal_square", both * (off_mean - average) / FOLLOWED)
     wrong = [(ca.fabs(FORCE * v), FORCE * d) for v, d in of_fault.sizes[:cylinders]]
     enough = whether(of_fault.samples > FEWEST)
     states = [judged(v, d, p.weighing_limit, enough) for v, d in wrong]
