@@ -1,26 +1,33 @@
 """Payload by all cylinders, by Lagrange's equations with the energies T and V of the arm, behind a lag T_w:
 
-    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F sign(x') + D x' + Z) + h H    e = d(V - T)/dq + (p - p_late)/T_w
+    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F z + D x' + Z) + h H       e = d(V - T)/dq + (p - p_late)/T_w
 
 e_0 of the empty arm, e_m of a kilogram of payload, e_i of a kilogram of mass i of the arm; p = dT/dq', so no
 acceleration is needed. T contains the slewing, whose centrifugal force lifts the arm. x_q = dx/dq. The tare
 are the masses d_i that the arm has beyond the known ones, and the friction of its cylinders, dry F and
-viscous D, with the force Z that the zeros of their pressures make. It is learned without payload. Not near
-the ends of a stroke.
+viscous D, with the force Z that the zeros of their pressures make. z' = x'/`SLIP`, between -1 and 1: a piston
+slides after this way. The tare is learned without payload. Not near the ends of a stroke.
 
-H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. A head that swings has
-one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its
-variance (generalised least squares with the covariance s^2 I + H^2 h h^T). s is larger of a cylinder at rest,
-whose dry friction F has a direction that is not known.
+H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. Equations count less
+along h, by its variance (generalised least squares with the covariance s^2 I + H^2 h h^T). By the share
+w = H^2/(H^2 + `SWINGING`^2) the head hangs: its motion is not that of the tip, so it tells no payload, and
+counts with the one known before.
 
 **One fit** has what is left without the tare: the payload m, a force Z_i of each cylinder that its load does
 not need, and the slope a, b of the ground. Gravity on a slope of a small angle is that of an arm turned by
-this angle in its plane, by a cos(s) + b sin(s) at the slewing angle s. The payload is kept until it changes,
-by more than single readings scatter: then what is known of it is forgotten, and of the others two thirds, as
-it may be the begin of a fault. While nothing can be weighed it is forgotten in `HELD`, and its deviation
-grows. So postures in which one payload is carried tell it from a wrong pressure: it loads all cylinders, each
-by its own lever. At most one pressure is wrong, that of the largest likelihood ratio; the payload itself is
-weighed with pressures that drift by no more than `DRIFT`.
+this angle in its plane, by a cos(s) + b sin(s) at the slewing angle s, less (a^2 + b^2)/2 of it. The payload
+is kept until it changes, by more than single readings scatter: then what is known of it is forgotten, and of
+the others two thirds, as it may be the begin of a fault. While nothing can be weighed it is forgotten in
+`HELD`, and its deviation grows. So postures in which one payload is carried tell it from a wrong pressure: it
+loads all cylinders, each by its own lever. At most one pressure is wrong, that of the largest likelihood
+ratio; the payload itself is weighed with pressures that drift by no more than `DRIFT`.
+
+**A head that hangs** (w > 1/2) pulls up and down with twice the frequency of its swing, by as much as it
+weighs. Of this a window with smooth ends leaves a hundredth. A time t after a change a reading at r counts
+
+    by (r/t)^n in the fit, then y' = (n + 2) (m - y)/t, z' = (n + 3) (y - z)/t: in all by r^n (t - r)^2
+
+with n = `POWER`. A change is seen in means over a third of a period, and t falls to w `PERIOD`.
 """
 
 from __future__ import annotations
@@ -44,19 +51,19 @@ LEFT = 0.05  # of a torque at the end of a stroke
 NOISE = 200.0  # N.m, s: of a torque
 FOLLOWED = 20.0  # s, in which the variance of H follows
 SWINGS = 3.0  # s, in which a head swings: a force that lasts is no scatter, but a wrong pressure or a slope
-# N, root of that variance: at least, at the start, half of a head that swings, at most: half of the weight
+# N, root of that variance: at least, at the start, w = 1/2 (rigid 250, swinging 1500), at most: half a weight
 STEADY, UNKNOWN, SWINGING, LARGEST = 30.0, 300.0, 600.0, 5e3
 JUMPED = 9.0  # times the variance: what counts of a larger force, which may be a change of payload
 END = 0.01  # m, from the end of a stroke
-LEFT_OVER = 0.35
+LEFT_OVER = 0.35  # of the deviation by single readings: most of their scatter is a swing, whose mean is zero
 ERROR = 5.0  # kg, what masses that are off add to a deviation: 1 % of the arm, after the tare
-POWER = 3  # of the time since a change: what counts of a reading
-KEPT, HELD = 5.0, 6.0  # s, for which a payload is weighed, some periods of a head that swings; kept without
+POWER = 3  # n: after 5 s a thousandth of the payload before is left
+HELD = 6.0  # s, for which a payload is kept: some periods of a head that swings
 PERIOD = 1.2  # s, of the vertical force of a head that swings, half of its own period: the least window
 CHANGED, SCATTERS = 0.3, 2.0  # hundred kg, and deviations, from which a payload is another one
-SMOOTH, FOUND = 0.4, 8.0  # s, a third of a period, twice, over which it is seen; in which its scatter is found
+SMOOTH, FOUND = 0.4, 8.0  # s, of means in which it is seen, a third of a period; in which they scatter
 SURE = 1.5  # s, in which a payload is forgotten where it has changed by both
-SETTLING = 0.5  # s, two lags, in which the torque of another payload comes
+SETTLING = 0.7  # s, three lags, in which the torque of another payload comes
 DRIFT, FAULT = 0.05, 10.0  # of FORCE: of a cylinder by its readings, 0.5 bar; by a wrong pressure
 TARE_MEMORY = 300.0  # s, all of the healthy work from which it is learned
 BALANCE_MEMORY = 30.0  # s, some strokes of the swing, which tell a slope from a sensor
@@ -183,32 +190,30 @@ def weighed(
     known = sum(c[-1] ** 2 for c, _ in calm) + 1e-9
     change = sum(c[-1] * (y - ca.dot(ca.vertcat(*c), sizes)) for c, y in calm) / known
     any_counts, both = whether(count > 0), whether(count > 1)
-    # a change is more than the scatter of what readings say over a period of the head
-    late = [m.state(f"change_{k}", "Change of the payload behind lags") for k in range(2)]
-    scatter, since = m.state("scatter", "Its variance"), m.state("since", "Time of weighing since a change", "s")
-    least = 1 + (PERIOD / ca.fmax(since, LAG)) ** 2
-    hangs = whether(swings > 0.5)
-    now, spread = ca.if_else(hangs > 0, late[1], change), of_load.solution[2] / known
-    large = now**2 / (CHANGED**2 + SCATTERS**2 * ca.if_else(hangs > 0, least * scatter, spread))
-    changed = m.state("changed", "1: the payload has changed; fades")
-    m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / (SETTLING * (2 - hangs))))
-    jumps = changed / LAG
-    for k, now in enumerate((change, late[0])):
-        m.moves(f"change_{k}", any_counts * (now - late[k]) / SMOOTH - jumps * late[k])
-    calm_now = any_counts * whether(changed < LEFT) * whether(since > PERIOD)
-    m.moves("scatter", calm_now * (ca.fmin(late[1] ** 2, JUMPED * (scatter + LEFT**2)) - scatter) / FOUND)
-    m.moves("since", any_counts * whether(since < KEPT) - jumps * ca.fmax(since - PERIOD * swings, 0))
-    fresh = 1 / ca.fmax(since, 2 * (POWER + 3) * QUICK)
-    held = ca.if_else(any_counts * hangs > 0, POWER * fresh, 1 / HELD)
-    changes = held + (1 - hangs) * (jumps + large**2 / SURE)
+    # a change is more than the scatter of single readings, or of means over the period of a head that swings
+    hangs, seen, since = whether(swings > 0.5), change, m.state("since", "Time since a change", "s")
+    changed, scatter = m.state("changed", "1: the payload has changed; fades"), m.state("scatter", "Of means")
+    jumps, fresh = changed / LAG, 1 / ca.fmax(since, 0.1 * PERIOD)
+    for k in range(2):
+        now, seen = seen, m.state(f"seen_{k}", "Change of the payload, behind lags")
+        m.moves(f"seen_{k}", any_counts * (now - seen) / SMOOTH - jumps * seen)
+    least = CHANGED**2 + SCATTERS**2 * scatter * (1 + (PERIOD * fresh) ** 2)
+    at_once = change**2 / (CHANGED**2 + SCATTERS**2 * of_load.solution[2] / known)
+    large = ca.if_else(hangs > 0, seen**2 / least, at_once)
+    m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / SETTLING))
+    steady = any_counts * whether(changed < LEFT) * whether(since > PERIOD)
+    m.moves("scatter", steady * (ca.fmin(seen**2, JUMPED * (scatter + LEFT**2)) - scatter) / FOUND)
+    m.moves("since", any_counts * whether(since < HELD) - jumps * ca.fmax(since - PERIOD * swings, 0))
+    gone = (1 - hangs) * (jumps + large**2 / SURE)
+    gone += ca.if_else(any_counts * hangs > 0, POWER * fresh, 1 / HELD)
     # it may be the begin of a fault, so all that was known before counts less
-    memory = 1 / (1 / BALANCE_MEMORY + changed)
-    of_load.adds(any_counts / LAG, calm, memory, any_counts, ca.fmin(changes, 0.5 / QUICK))
-    mean = size
+    memory = 1 / (1 / BALANCE_MEMORY + changed / SETTLING)
+    of_load.adds(any_counts / LAG, calm, memory, any_counts, ca.fmin(gone, 0.5 / QUICK))
+    payload = size
     for k in (2, 3):
-        now, mean = mean, m.state(f"payload_mean_{k}", "Payload, mean since a change")
-        m.moves(f"payload_mean_{k}", any_counts * (POWER + k) * fresh * (now - mean))
-    payload = ca.if_else(hangs > 0, mean, size)
+        now, payload = payload, m.state(f"mean_{k}", "Mean of the payload")
+        m.moves(f"mean_{k}", any_counts * (POWER + k) * fresh * (now - payload))
+    payload = ca.if_else(hangs > 0, payload, size)
     # what is left is a horizontal force; one cylinder alone cannot tell it from a payload
     horizontal = TORQUE * ca.dot(h, table @ ca.vertcat(-sizes, 1)) / (ca.sumsqr(h) + 1e-9)
     lasting = m.lag("horizontal", both * horizontal, SWINGS, "Horizontal force at the tip", "N", True)
