@@ -27,7 +27,7 @@ weighs. Of this a window with smooth ends leaves a hundredth. A time t after a c
 
     by (r/t)^n in the fit, then y' = (n + 2) (m - y)/t, z' = (n + 3) (y - z)/t: in all by r^n (t - r)^2
 
-with n = `POWER`. A change is seen in means over a third of a period, and t falls to w `PERIOD`.
+with n = `POWER`. A change is seen behind two lags `SMOOTH`, and t falls to w `PERIOD`.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ JUMPED = 9.0  # times the variance: what counts of a larger force, which may be 
 END = 0.01  # m, from the end of a stroke
 LEFT_OVER = 0.35  # of the deviation by single readings: most of their scatter is a swing, whose mean is zero
 ERROR = 5.0  # kg, what masses that are off add to a deviation: 1 % of the arm, after the tare
-POWER = 3  # n: after 5 s a thousandth of the payload before is left
+POWER = 4  # n: of the payload before less than a hundredth is left after 5 s
 HELD = 6.0  # s, for which a payload is kept: some periods of a head that swings
-PERIOD = 1.2  # s, of the vertical force of a head that swings, half of its own period: the least window
+PERIOD = 2.0  # s, of a head whose mass hangs 1 m below its joint: the least window
 CHANGED, SCATTERS = 0.3, 2.0  # hundred kg, and deviations, from which a payload is another one
-SMOOTH, FOUND = 0.4, 8.0  # s, of means in which it is seen, a third of a period; in which they scatter
+SMOOTH, FOUND = 0.4, 8.0  # s, of means in which it is seen, less than half of a period; in which they scatter
 SURE = 1.5  # s, in which a payload is forgotten where it has changed by both
 SETTLING = 0.7  # s, three lags, in which the torque of another payload comes
 DRIFT, FAULT = 0.05, 10.0  # of FORCE: of a cylinder by its readings, 0.5 bar; by a wrong pressure
@@ -190,7 +190,7 @@ def weighed(
     known = sum(c[-1] ** 2 for c, _ in calm) + 1e-9
     change = sum(c[-1] * (y - ca.dot(ca.vertcat(*c), sizes)) for c, y in calm) / known
     any_counts, both = whether(count > 0), whether(count > 1)
-    # a change is more than the scatter of single readings, or of means over the period of a head that swings
+    # a change is more than the scatter of single readings, or of means
     hangs, seen, since = whether(swings > 0.5), change, m.state("since", "Time since a change", "s")
     changed, scatter = m.state("changed", "1: the payload has changed; fades"), m.state("scatter", "Of means")
     jumps, fresh = changed / LAG, 1 / ca.fmax(since, 0.1 * PERIOD)
