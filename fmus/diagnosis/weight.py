@@ -1,26 +1,33 @@
 """Payload by all cylinders, by Lagrange's equations with the energies T and V of the arm, behind a lag T_w:
 
-    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F sign(x') + D x' + Z) + h H    e = d(V - T)/dq + (p - p_late)/T_w
+    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F z + D x' + Z) + h H       e = d(V - T)/dq + (p - p_late)/T_w
 
 e_0 of the empty arm, e_m of a kilogram of payload, e_i of a kilogram of mass i of the arm; p = dT/dq', so no
 acceleration is needed. T contains the slewing, whose centrifugal force lifts the arm. x_q = dx/dq. The tare
 are the masses d_i that the arm has beyond the known ones, and the friction of its cylinders, dry F and
-viscous D, with the force Z that the zeros of their pressures make. It is learned without payload. Not near
-the ends of a stroke.
+viscous D, with the force Z that the zeros of their pressures make. z' = x'/`SLIP`, between -1 and 1: a piston
+slides after this way. The tare is learned without payload. Not near the ends of a stroke.
 
-H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. A head that swings has
-one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its
-variance (generalised least squares with the covariance s^2 I + H^2 h h^T). s is larger of a cylinder at rest,
-whose dry friction F has a direction that is not known.
+H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. Equations count less
+along h, by its variance (generalised least squares with the covariance s^2 I + H^2 h h^T). By the share
+w = H^2/(H^2 + `SWINGING`^2) the head hangs: its motion is not that of the tip, so it tells no payload, and
+counts with the one known before.
 
 **One fit** has what is left without the tare: the payload m, a force Z_i of each cylinder that its load does
 not need, and the slope a, b of the ground. Gravity on a slope of a small angle is that of an arm turned by
-this angle in its plane, by a cos(s) + b sin(s) at the slewing angle s. The payload is kept until it changes,
-by more than single readings scatter: then what is known of it is forgotten, and of the others two thirds, as
-it may be the begin of a fault. While nothing can be weighed it is forgotten in `HELD`, and its deviation
-grows. So postures in which one payload is carried tell it from a wrong pressure: it loads all cylinders, each
-by its own lever. At most one pressure is wrong, that of the largest likelihood ratio; the payload itself is
-weighed with pressures that drift by no more than `DRIFT`.
+this angle in its plane, by a cos(s) + b sin(s) at the slewing angle s, less (a^2 + b^2)/2 of it. The payload
+is kept until it changes, by more than single readings scatter: then what is known of it is forgotten, and of
+the others two thirds, as it may be the begin of a fault. While nothing can be weighed it is forgotten in
+`HELD`, and its deviation grows. So postures in which one payload is carried tell it from a wrong pressure: it
+loads all cylinders, each by its own lever. At most one pressure is wrong, that of the largest likelihood
+ratio; the payload itself is weighed with pressures that drift by no more than `DRIFT`.
+
+**A head that hangs** (w > 1/2) pulls up and down with twice the frequency of its swing, by as much as it
+weighs. Of this a window with smooth ends leaves a hundredth. A time t after a change a reading at r counts
+
+    by (r/t)^n in the fit, then y' = (n + 2) (m - y)/t, z' = (n + 3) (y - z)/t: in all by r^n (t - r)^2
+
+with n = `POWER`. A change is seen behind two lags `SMOOTH`, and t falls to w `PERIOD`.
 """
 
 from __future__ import annotations
@@ -39,19 +46,24 @@ from fmus.parameters import values
 
 TORQUE, FORCE, HUNDRED = 1e4, 1e4, 100.0  # N.m, N, kg: scales
 LAG = 0.25  # s, of torques: half a period of an arm on its oil; after 1.5 s less than 1 % of a change is left
-SLOW = 5e-3  # m/s, over which the sign of a speed is rounded
+SLIP = 1e-4  # m, after a turn of the piston until it slides: shear of the lips of its seals
 LEFT = 0.05  # of a torque at the end of a stroke
 NOISE = 200.0  # N.m, s: of a torque
 FOLLOWED = 20.0  # s, in which the variance of H follows
 SWINGS = 3.0  # s, in which a head swings: a force that lasts is no scatter, but a wrong pressure or a slope
-STEADY, SWINGING, LARGEST = 30.0, 300.0, 1e3  # N, root of that variance: at least, at the start, at most
+# N, root of that variance: at least, at the start, w = 1/2 (rigid 250, swinging 1500), at most: half a weight
+STEADY, UNKNOWN, SWINGING, LARGEST = 30.0, 300.0, 600.0, 5e3
 JUMPED = 9.0  # times the variance: what counts of a larger force, which may be a change of payload
 END = 0.01  # m, from the end of a stroke
+LEFT_OVER = 0.35  # of the deviation by single readings: most of their scatter is a swing, whose mean is zero
 ERROR = 5.0  # kg, what masses that are off add to a deviation: 1 % of the arm, after the tare
+POWER = 4  # n: of the payload before less than a hundredth is left after 5 s
 HELD = 6.0  # s, for which a payload is kept: some periods of a head that swings
-CHANGED, SCATTERS = 0.3, 2.0  # hundred kg, and deviations of a reading, from which a payload is another one
-SETTLING = 1.0  # s, four lags, in which the torque of another payload comes
-SURE = 1.5  # s, in which it is forgotten where it has changed by both
+PERIOD = 2.0  # s, of a head whose mass hangs 1 m below its joint: the least window
+CHANGED, SCATTERS = 0.3, 2.0  # hundred kg, and deviations, from which a payload is another one
+SMOOTH, FOUND = 0.4, 8.0  # s, of means in which it is seen, less than half of a period; in which they scatter
+SURE = 1.5  # s, in which a payload is forgotten where it has changed by both
+SETTLING = 0.7  # s, three lags, in which the torque of another payload comes
 DRIFT, FAULT = 0.05, 10.0  # of FORCE: of a cylinder by its readings, 0.5 bar; by a wrong pressure
 TARE_MEMORY = 300.0  # s, all of the healthy work from which it is learned
 BALANCE_MEMORY = 30.0  # s, some strokes of the swing, which tell a slope from a sensor
@@ -106,7 +118,7 @@ def balance(a: Axis, efforts: Efforts) -> Mapping[str, Scalar]:
     lever     of a horizontal force at the tip [m]
     zero      of a force of its cylinder, its lever [m]
     empty_tilt, payload_tilt   by a slope per rad: of the empty arm, of a kilogram of payload
-    held      by dry friction of which the direction is not known, because the piston rests
+    moving    of a kilogram of payload, by its motion alone
     """
     m, speed, columns = a.m, a.lever * a.readings[1], dict[str, Scalar]()
     stroke = getattr(a.p, a.axis.name).stroke
@@ -118,20 +130,22 @@ def balance(a: Axis, efforts: Efforts) -> Mapping[str, Scalar]:
         late = m.lag(f"{n}_torque", torque, LAG, f"Torque of {n}, and its weight", "N.m")
         change = momentum - m.lag(f"{n}_momentum", momentum, LAG, f"Momentum of {n}", "N.m.s")
         columns[n] = counts * (late + change / LAG)
-    shapes = a.lever * speed / ca.sqrt(speed**2 + SLOW**2), a.lever * speed, a.lever
+        columns["moving"] = counts * change / LAG if n == "payload" else columns.get("moving", 0)
+    slip = m.state("slip", "Dry friction over that of a piston that slides")
+    m.moves("slip", ca.fmin(ca.fmax(speed / SLIP, (-1 - slip) / QUICK), (1 - slip) / QUICK))
+    shapes = a.lever * slip, a.lever * speed, a.lever
     dry, damping, zero = (
-        counts * m.lag(f"late_{n}", shape, LAG, f"Torque per size of {n}")
+        counts * m.lag(f"late_{n}", shape, LAG, f"Torque per size of {n}", zero=shape is shapes[0])
         for n, shape in zip(FRICTION, shapes, strict=True)
     )
     columns |= {f"{a.axis.name}_{n}": v for n, v in zip(FRICTION, (dry, damping, zero), strict=True)}
-    held = a.reference(FRICTION[0]) * ca.sqrt(ca.fmax(zero**2 - dry**2, 0) / 3)  # of an even distribution
     for n in ("empty", "payload"):
         tilt = m.lag(f"{n}_tilt", efforts[n][2], LAG, f"Torque by a slope, {n}", "N.m/rad")
         columns[f"{n}_tilt"] = counts * tilt
     force = a.lever * a.actuator.force(*a.pressures)
     torque = counts * m.lag("torque", force, LAG, "Torque of the cylinder", "N.m") - columns["empty"]
     lever = counts * m.lag("late_arm", a.radial, LAG, "Lever of a horizontal force at the tip", "m")
-    return columns | {"counts": counts, "torque": torque, "lever": lever, "zero": zero, "held": held}
+    return columns | {"counts": counts, "torque": torque, "lever": lever, "zero": zero}
 
 
 def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
@@ -151,43 +165,60 @@ def weighed(
     slewing   angle of the column [rad]
     """
     count, cylinders = sum(b["counts"] for b in balances), len(balances)
-    trust = ca.vertcat(*(NOISE / ca.sqrt(NOISE**2 + b["held"] ** 2) for b in balances))
-    torque, h, load, empty_tilt, load_tilt, zero = (
-        trust * ca.vertcat(*(b[n] for b in balances))
-        for n in ("torque", "lever", "payload", "empty_tilt", "payload_tilt", "zero")
+    torque, h, empty, load, moving, empty_tilt, load_tilt, zero = (
+        ca.vertcat(*(b[n] for b in balances))
+        for n in ("torque", "lever", "empty", "payload", "moving", "empty_tilt", "payload_tilt", "zero")
     )
-    mean = m.state("horizontal_square", "Variance of a horizontal force at the tip", "N2", SWINGING**2)
-    square = ca.fmin(ca.fmax(mean, STEADY**2), LARGEST**2)
+    average = m.state("horizontal_square", "Variance of a horizontal force at the tip", "N2", UNKNOWN**2)
+    square = ca.fmin(ca.fmax(average, STEADY**2), LARGEST**2)
     free, noise = [(p.slope, 0), (p.slope, 0), (20.0, 0.0)], (NOISE / TORQUE, 0.1)
     of_load = Fit(m, "payload", [*((DRIFT, 0) for _ in range(cylinders)), *free], *noise, weighed=True)
     loose = [*((FAULT, 0) for _ in range(cylinders)), *free]  # the same sums by other priors
     of_fault = Fit(m, "payload", loose, *noise, rare=cylinders, signed=True, weighed=True)
-    *_, (size, off) = of_load.sizes
-    off = ca.sqrt(off**2 + (ERROR / HUNDRED) ** 2)
+    *_, (a, _), (b, _), (size, off) = of_load.sizes
+    off = ca.sqrt((LEFT_OVER * off) ** 2 + (ERROR / HUNDRED) ** 2)
     # the payload, without the tare; what is known of it is forgotten at a change
-    own = (ca.horzcat(*(b.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances)
-    rows = ca.diag(trust) @ ca.vertcat(*own)
-    left = torque - rows @ ca.vertcat(*(reference(n, p) for n in tare))
+    rows = ca.vertcat(*(ca.horzcat(*(b.get(n.removesuffix("_off"), 0) for n in tare)) for b in balances))
+    swings, less = average / (average + SWINGING**2), (a**2 + b**2) / 2
+    left = torque - rows @ ca.vertcat(*(reference(n, p) for n in tare)) + less * empty
+    left -= HUNDRED * size * swings * moving
+    load -= swings * moving + less * load
     tilt = empty_tilt + HUNDRED * size * load_tilt
     slopes = ca.cos(slewing) * tilt, ca.sin(slewing) * tilt
     table = ca.horzcat(FORCE * ca.diag(zero), *slopes, HUNDRED * load, left) / TORQUE
     calm, sizes = without_horizontal(table, h, square), ca.vertcat(*(v for v, _ in of_load.sizes))
     known = sum(c[-1] ** 2 for c, _ in calm) + 1e-9
     change = sum(c[-1] * (y - ca.dot(ca.vertcat(*c), sizes)) for c, y in calm) / known
-    # a change is more than the scatter of single readings
-    large = change**2 / (CHANGED**2 + SCATTERS**2 * of_load.solution[2] / known)
-    changed = m.state("changed", "1: the payload has changed; fades")
-    m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / SETTLING))
-    changes = 1 / HELD + changed / LAG + large**2 / SURE
     any_counts, both = whether(count > 0), whether(count > 1)
+    # a change is more than the scatter of single readings, or of means
+    hangs, seen, since = whether(swings > 0.5), change, m.state("since", "Time since a change", "s")
+    changed, scatter = m.state("changed", "1: the payload has changed; fades"), m.state("scatter", "Of means")
+    jumps, fresh = changed / LAG, 1 / ca.fmax(since, 0.1 * PERIOD)
+    for k in range(2):
+        now, seen = seen, m.state(f"seen_{k}", "Change of the payload, behind lags")
+        m.moves(f"seen_{k}", any_counts * (now - seen) / SMOOTH - jumps * seen)
+    least = CHANGED**2 + SCATTERS**2 * scatter * (1 + (PERIOD * fresh) ** 2)
+    at_once = change**2 / (CHANGED**2 + SCATTERS**2 * of_load.solution[2] / known)
+    large = ca.if_else(hangs > 0, seen**2 / least, at_once)
+    m.moves("changed", ca.if_else(large > 1, (1 - changed) / QUICK, -changed / SETTLING))
+    steady = any_counts * whether(changed < LEFT) * whether(since > PERIOD)
+    m.moves("scatter", steady * (ca.fmin(seen**2, JUMPED * (scatter + LEFT**2)) - scatter) / FOUND)
+    m.moves("since", any_counts * whether(since < HELD) - jumps * ca.fmax(since - PERIOD * swings, 0))
+    gone = (1 - hangs) * (jumps + large**2 / SURE)
+    gone += ca.if_else(any_counts * hangs > 0, POWER * fresh, 1 / HELD)
     # it may be the begin of a fault, so all that was known before counts less
     memory = 1 / (1 / BALANCE_MEMORY + changed / SETTLING)
-    of_load.adds(any_counts / LAG, calm, memory, any_counts, ca.fmin(changes, 0.5 / QUICK))
+    of_load.adds(any_counts / LAG, calm, memory, any_counts, ca.fmin(gone, 0.5 / QUICK))
+    payload = size
+    for k in (2, 3):
+        now, payload = payload, m.state(f"mean_{k}", "Mean of the payload")
+        m.moves(f"mean_{k}", any_counts * (POWER + k) * fresh * (now - payload))
+    payload = ca.if_else(hangs > 0, payload, size)
     # what is left is a horizontal force; one cylinder alone cannot tell it from a payload
     horizontal = TORQUE * ca.dot(h, table @ ca.vertcat(-sizes, 1)) / (ca.sumsqr(h) + 1e-9)
     lasting = m.lag("horizontal", both * horizontal, SWINGS, "Horizontal force at the tip", "N", True)
     off_mean = ca.fmin((horizontal - lasting) ** 2, JUMPED * square)
-    m.moves("horizontal_square", both * (off_mean - mean) / FOLLOWED)
+    m.moves("horizontal_square", both * (off_mean - average) / FOLLOWED)
     wrong = [(ca.fabs(FORCE * v), FORCE * d) for v, d in of_fault.sizes[:cylinders]]
     enough = whether(of_fault.samples > FEWEST)
     states = [judged(v, d, p.weighing_limit, enough) for v, d in wrong]
@@ -203,4 +234,4 @@ def weighed(
     known = whether(of_tare.samples > FEWEST) - 1
     sized = zip(tare, scales, of_tare.sizes, strict=True)
     told = {n: (scale * v, scale * d, known) for n, scale, (v, d) in sized}
-    return (HUNDRED * size, HUNDRED * off), told | {"weighing": (force, off_force, state)}
+    return (HUNDRED * payload, HUNDRED * off), told | {"weighing": (force, off_force, state)}
