@@ -39,7 +39,18 @@ import casadi as ca
 
 from fmus.contract import Scalar, Subsystem, flat, nested, quantities
 from fmus.controller.arm import ControlledAxis
-from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, States, Told, either, judged, whether
+from fmus.diagnosis.estimates import (
+    FEWEST,
+    QUICK,
+    SAMPLING,
+    Equations,
+    Fit,
+    States,
+    Told,
+    either,
+    judged,
+    whether,
+)
 from fmus.diagnosis.readings import Axis
 from fmus.diagnosis.unknowns import FRICTION, Unknown, masses_of, reference
 from fmus.parameters import values
@@ -126,26 +137,30 @@ def balance(a: Axis, efforts: Efforts) -> Mapping[str, Scalar]:
     free = whether(a.position > END) * whether(a.position < stroke - END)
     m.moves("blocked", ca.if_else(free > 0, -blocked / LAG, (1 - blocked) / QUICK))
     counts = a.sound * a.speeds * whether(blocked < LEFT)
-    for n, (torque, momentum, _) in efforts.items():
-        late = m.lag(f"{n}_torque", torque, LAG, f"Torque of {n}, and its weight", "N.m")
+
+    def late(name: str, now: Scalar, text: str, unit: str = "N.m", zero: bool = False) -> Scalar:
+        """Behind the lag, in the middle of a sample, where the change of a momentum over it is, too."""
+        behind = m.lag(name, now, LAG, text, unit, zero)
+        return counts * (behind + SAMPLING / (2 * LAG) * (now - behind))
+
+    for n, (torque, momentum, tilt) in efforts.items():
         change = momentum - m.lag(f"{n}_momentum", momentum, LAG, f"Momentum of {n}", "N.m.s")
-        columns[n] = counts * (late + change / LAG)
-        columns["moving"] = counts * change / LAG if n == "payload" else columns.get("moving", 0)
+        moving = counts * change / LAG
+        columns[n] = moving + late(f"{n}_torque", torque, f"Torque of {n}, and its weight")
+        if n in ("empty", "payload"):
+            columns |= {"moving": moving}
+            columns[f"{n}_tilt"] = late(f"{n}_tilt", tilt, f"Torque by a slope, {n}", "N.m/rad")
     slip = m.state("slip", "Dry friction over that of a piston that slides")
     m.moves("slip", ca.fmin(ca.fmax(speed / SLIP, (-1 - slip) / QUICK), (1 - slip) / QUICK))
     shapes = a.lever * slip, a.lever * speed, a.lever
-    dry, damping, zero = (
-        counts * m.lag(f"late_{n}", shape, LAG, f"Torque per size of {n}", zero=shape is shapes[0])
-        for n, shape in zip(FRICTION, shapes, strict=True)
-    )
-    columns |= {f"{a.axis.name}_{n}": v for n, v in zip(FRICTION, (dry, damping, zero), strict=True)}
-    for n in ("empty", "payload"):
-        tilt = m.lag(f"{n}_tilt", efforts[n][2], LAG, f"Torque by a slope, {n}", "N.m/rad")
-        columns[f"{n}_tilt"] = counts * tilt
+    for n, shape in zip(FRICTION, shapes, strict=True):
+        zero = shape is shapes[0]
+        columns[f"{a.axis.name}_{n}"] = late(f"late_{n}", shape, f"Torque per size of {n}", "1", zero)
+    columns["zero"] = columns[f"{a.axis.name}_{FRICTION[2]}"]
     force = a.lever * a.actuator.force(*a.pressures)
-    torque = counts * m.lag("torque", force, LAG, "Torque of the cylinder", "N.m") - columns["empty"]
-    lever = counts * m.lag("late_arm", a.radial, LAG, "Lever of a horizontal force at the tip", "m")
-    return columns | {"counts": counts, "torque": torque, "lever": lever, "zero": zero}
+    torque = late("torque", force, "Torque of the cylinder") - columns["empty"]
+    lever = late("late_arm", a.radial, "Lever of a horizontal force at the tip", "m")
+    return columns | {"counts": counts, "torque": torque, "lever": lever}
 
 
 def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
