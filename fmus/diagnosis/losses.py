@@ -75,6 +75,7 @@ OUTLET = 1.3  # flow through an edge over that of its known opening, at most: th
 RESPONSE = 0.5  # of the least flow, at least: a valve 20 % smaller, with oil of -10 degC
 WAITING = 0.4  # of the flow, if the pump waits: it needs longer than a valve
 TURN = 0.006  # rad or m of a joint, whose oil is lost: what lags and zeros of a healthy machine add up to
+MISSING = 1.5e-5  # m3, that does not come, or comes through a closed valve: a shock moves less
 CREEP = 0.012  # rad/s or m/s of a joint, that is no flow: below `MOVES`
 SOFT = 0.3  # of the flow by a change of pressure, for hoses that are not known
 LEAST_FLOW = 1e-4  # m3/s, through a return edge that tells whether it is open
@@ -185,7 +186,8 @@ def balance(a: Axis) -> dict[str, Told]:
     calm = m.sum("calm", "Time without an open relief valve or a shock", 1, tight)
     sound = a.sound * (1 - either(*a.doubted[2:]))
     counts, usable, stuck = sound * whether(calm > CALMED), a.usable * (1 - a.spool), 0
-    closed = whether(ca.fmax(*a.most) < p.closed_command)
+    lines = zip(a.pressures, a.late[2:], strict=True)
+    below = [whether(ca.fmax(*v) < a.u.supply_pressure - 2 * p.zero_limit) for v in lines]
     oil = [_expected(a, k) for k in (0, 1)]
     jet, least = DISCHARGE * ca.sqrt(2 / a.actuator.density), RISE + p.pressure_resolution
     for k, (mark, area) in enumerate(zip(chambers_of(a.axis), a.areas, strict=True)):
@@ -206,9 +208,8 @@ def balance(a: Axis) -> dict[str, Told]:
         loss = asked * ca.if_else(known > 0, passing, burst) - flow - most - gained
         void = ca.if_else(flow > 0, asked - flow, ca.fmax(loss, 0))
         lost = m.state(f"lost_{k}", f"Oil lost beyond its valve, or less than none: a void, {ENDS[k]}", "m3")
-        below = whether(ca.fmax(pressure, a.late[2 + k]) < a.u.supply_pressure - 2 * p.zero_limit)
         excess = loss - swept * CREEP - soft
-        excess *= ca.if_else(excess > 0, below, 1)
+        excess *= ca.if_else(excess > 0, below[k], 1)
         filling = m.sum(f"filled_{k}", f"Time for which it is not empty, {ENDS[k]}", 1, whether(a.filled[k]))
         empty = whether(filling < FILLING)
         unknown = -CREDIT * a.capacitances[k] * p.nominal_supply_pressure
@@ -224,13 +225,14 @@ def balance(a: Axis) -> dict[str, Told]:
         shows *= whether(change < least) * whether(lost >= 0)
         shows = either(shows, held * whether(pressure > LOST))
         still = (RESPONSE * asked - ca.fmax(flow, 0)) * ca.if_else(known > 0, 1 - passing, shows)
-        asks = counts * whether(asked > 0)
+        asks = sound * whether(asked > 0)
         missing = m.sum(f"missing_{k}", f"Oil that does not come, {ENDS[k]}", still, asks, "m3", FORGOTTEN)
         passes = ca.fmin(flow - most_in - soft, -most_of_other - other - soft_of_other) - swept * CREEP
-        passes *= a.full[0] * a.full[1]
+        passes *= a.full[0] * a.full[1] * below[1 - k]
         text = f"Oil that comes through the closed valve, {ENDS[k]}"
-        passed = m.sum(f"passed_{k}", text, passes, counts * closed, "m3", FORGOTTEN)
-        stuck = either(stuck, whether(ca.fmax(missing, passed) > limit))
+        passed = m.sum(f"passed_{k}", text, passes, counts, "m3", FORGOTTEN)
+        enough = MISSING + swept * p.angle_resolution
+        stuck = either(stuck, whether(ca.fmax(missing, passed) > enough))
     m.latch("spool", a.spool, stuck * (1 - a.burst_told))
     return told | {"spool": shown(a.spool, a.usable)}
 
