@@ -74,7 +74,7 @@ LEAK, AIRY = 10.0, 0.005  # prior deviations: L/min at 100 bar, a seal or fittin
 OUTLET = 1.3  # flow through an edge over that of its known opening, at most: the density of the oil, too
 RESPONSE = 0.5  # of the least flow, at least: a valve 20 % smaller, with oil of -10 degC
 WAITING = 0.4  # of the flow, if the pump waits: it needs longer than a valve
-TURN = 0.006  # rad or m of a joint, whose oil is lost: what lags and zeros of a healthy machine add up to
+TURN = 0.008  # rad or m of a joint, whose oil is lost: what lags and zeros of a healthy machine add up to
 MISSING = 1.5e-5  # m3, that does not come, or comes through a closed valve: a shock moves less
 CREEP = 0.012  # rad/s or m/s of a joint, that is no flow: below `MOVES`
 SOFT = 0.3  # of the flow by a change of pressure, for hoses that are not known
@@ -225,10 +225,10 @@ def balance(a: Axis) -> dict[str, Told]:
         shows *= whether(change < least) * whether(lost >= 0)
         shows = either(shows, held * whether(pressure > LOST))
         still = (RESPONSE * asked - ca.fmax(flow, 0)) * ca.if_else(known > 0, 1 - passing, shows)
-        asks = sound * whether(asked > 0)
+        asks = sound * whether(asked > 0) * whether(flow > -asked)  # no arm that rebounds
         missing = m.sum(f"missing_{k}", f"Oil that does not come, {ENDS[k]}", still, asks, "m3", FORGOTTEN)
         passes = ca.fmin(flow - most_in - soft, -most_of_other - other - soft_of_other) - swept * CREEP
-        passes *= a.full[0] * a.full[1] * below[1 - k]
+        passes *= whether(a.filled[0]) * whether(a.filled[1]) * below[1 - k]
         text = f"Oil that comes through the closed valve, {ENDS[k]}"
         passed = m.sum(f"passed_{k}", text, passes, counts, "m3", FORGOTTEN)
         enough = MISSING + swept * p.angle_resolution
