@@ -225,7 +225,7 @@ def balance(a: Axis) -> dict[str, Told]:
         shows *= whether(change < least) * whether(lost >= 0)
         shows = either(shows, held * whether(pressure > LOST))
         still = (RESPONSE * asked - ca.fmax(flow, 0)) * ca.if_else(known > 0, 1 - passing, shows)
-        asks = sound * whether(asked > 0) * whether(flow > -asked)  # no arm that rebounds
+        asks = sound * whether(ca.fmax(-flow, other) < asked / 2)  # not of an arm that rebounds
         missing = m.sum(f"missing_{k}", f"Oil that does not come, {ENDS[k]}", still, asks, "m3", FORGOTTEN)
         passes = ca.fmin(flow - most_in - soft, -most_of_other - other - soft_of_other) - swept * CREEP
         passes *= whether(a.filled[0]) * whether(a.filled[1]) * below[1 - k]
