@@ -102,7 +102,8 @@ class Fit:
     most     that at most: what differs more is a change
     rare     how many of the first sizes are faults, of which there is one at most
     signed   whether such a fault may be negative
-    weighed  whether a prior counts by the deviation that the right side turns out to have, not the least one
+    weighed  whether a prior counts by the deviation that the right side turned out to have a sample ago, not
+             the least one
     """
 
     m: States
@@ -123,6 +124,9 @@ class Fit:
         text = f"Sum of normal equations, {self.name}"
         self.sums = {k: self.m.state(f"{self.name}_{k}", f"{text} {k}") for k in keys}
         self.samples = self.sums["w"]  # in the memory
+        self.turned_out = f"{self.name}_spread{'_rare' * bool(self.rare)}"
+        text = f"Deviation of the right side, {self.name}"
+        self.spread = ca.fmax(self.m.state(self.turned_out, text), self.least) if self.weighed else self.least
 
     def adds(
         self,
@@ -152,18 +156,19 @@ class Fit:
         rows = [self.sums[f"{min(i, k)}_{max(i, k)}"] for i in range(self.size)]
         return [-row / ca.fmax(rows[k], 1e-9) for row in rows]
 
-    def _solved(self, spread: Scalar) -> tuple[list[Scalar], ca.SX, Scalar]:
-        """Sizes, inverse of the normal equations, variance of the right side; priors relative to a spread."""
+    @cached_property
+    def solution(self) -> tuple[list[Scalar], ca.SX, Scalar]:
+        """Sizes, their covariance, variance of the right side."""
         n, b, squares = ca.SX(self.size, self.size), ca.SX(self.size, 1), self.sums["yy"]
         for i, j in self.products:
             n[i, j] = n[j, i] = self.sums[f"{i}_{j}"]
         for i, (deviation, reference) in enumerate(self.priors):
-            weight = (spread / deviation) ** 2
+            weight = (self.spread / deviation) ** 2
             b[i] = self.sums[f"{i}_y"] + weight * reference
             n[i, i] += weight
             squares += weight * reference**2
         if self.rare:
-            found, inverse = self._most_likely(n, b, spread)
+            found, inverse = self._most_likely(n, b)
         else:
             factors = ca.ldl(ca.densify(n))
             inverse = ca.ldl_solve(ca.SX.eye(self.size), *factors)
@@ -171,14 +176,17 @@ class Fit:
         s = ca.vertcat(*found)
         residual = ca.fmax(squares - 2 * ca.dot(b, s) + s.T @ n @ s, 0)
         variance = (residual + DOUBT * self.rough**2) / (self.samples + DOUBT)
-        return found, inverse, ca.fmin(ca.fmax(variance, self.least**2), self.most**2)
+        variance = ca.fmin(ca.fmax(variance, self.least**2), self.most**2)
+        if self.weighed:
+            self.m.moves(self.turned_out, (ca.sqrt(variance) - self.spread) / QUICK)
+        return found, variance * inverse, variance
 
-    def _most_likely(self, n: ca.SX, b: ca.SX, spread: Scalar) -> tuple[list[Scalar], ca.SX]:
+    def _most_likely(self, n: ca.SX, b: ca.SX) -> tuple[list[Scalar], ca.SX]:
         """Least squares with one of the first sizes, or none of them; variances on a diagonal.
 
         Faults are rare: a leak of one side is no leak of the seals with one of the other side. By the
         generalised likelihood ratio the one is told that lessens the sum of squares most, by more than
-        `CERTAIN` deviations. The other sizes, which are free, are eliminated.
+        `CERTAIN` of its least deviations. The other sizes, which are free, are eliminated.
         """
         rare = range(self.rare)
         factors = ca.ldl(ca.densify(n[self.rare :, self.rare :]))
@@ -187,18 +195,11 @@ class Fit:
         alone = [n[k, k] - ca.dot(columns[:, k], without[:, k]) for k in rare]
         right = [b[k] - ca.dot(without[:, k], sums) for k in rare]
         gains = [(r if self.signed else ca.fmax(r, 0)) ** 2 / v for r, v in zip(right, alone, strict=True)]
-        best = ca.fmax(ca.mmax(ca.vertcat(*gains)), (CERTAIN * spread) ** 2)
+        best = ca.fmax(ca.mmax(ca.vertcat(*gains)), (CERTAIN * self.least) ** 2)
         sizes = [ca.if_else(g >= best, r / v, 0) for g, r, v in zip(gains, right, alone, strict=True)]
         left = free - without @ ca.vertcat(*sizes)
         inverse = ca.ldl_solve(ca.SX.eye(self.size - self.rare), *factors)
         return [*sizes, *ca.vertsplit(left)], ca.diagcat(*(1 / v for v in alone), inverse)
-
-    @cached_property
-    def solution(self) -> tuple[list[Scalar], ca.SX, Scalar]:
-        """Sizes, their covariance, variance of the right side."""
-        spread = ca.sqrt(self._solved(self.least)[2]) if self.weighed else self.least
-        found, inverse, variance = self._solved(spread)
-        return found, variance * inverse, variance
 
     @property
     def sizes(self) -> list[tuple[Scalar, Scalar]]:

@@ -14,13 +14,17 @@ RNG = np.random.default_rng(5)
 
 
 def fitted(columns, right, priors, least, rough, **options):
-    """Least squares of equations, without fading."""
+    """Least squares of equations, without fading, some samples after the last one."""
     empty = Fit(States(), "f", priors, least, rough)
     m = States(SimpleNamespace(**dict.fromkeys(empty.m.declared, 0.0)))
     fit = Fit(m, "f", priors, least, rough)
     fit.adds(1.0, [(list(c), y) for c, y in zip(columns, right, strict=True)], 1e9)
     sums = {n: float(rate) for n, rate in m.rates.items()}
-    return Fit(States(SimpleNamespace(**sums)), "f", priors, least, rough, **options)
+    sums["f_spread"] = 0.0
+    for _ in range(5):
+        found = Fit(States(SimpleNamespace(**sums)), "f", priors, least, rough, **options)
+        sums["f_spread"] = float(found.solution[2]) ** 0.5
+    return found
 
 
 def test_one_fault_is_no_sum_of_others():

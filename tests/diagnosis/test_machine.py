@@ -404,7 +404,8 @@ def test_a_force_is_as_uncertain_as_the_slope_without_slewing(outputs):
     """
     k, y = 5.0, 4.0
     sums = {"0_0": 10.0, "0_2": 10 * k, "2_2": 10 * k**2, "0_y": 10 * y, "2_y": 10 * k * y, "yy": 10 * y**2}
-    found = outputs({f"payload_{n}": v for n, v in (sums | {"w": 10.0}).items()}, {})
+    sums |= {"w": 10.0, "spread_rare": (4 * 0.1**2 / 14) ** 0.5}  # of 10 equations and 4 assumed ones
+    found = outputs({f"payload_{n}": v for n, v in sums.items()}, {})
     assert found["weighing"] == pytest.approx(1e4 * y, rel=0.01)
     assert found["weighing_deviation"] == pytest.approx(1e4 * k * 0.05, rel=0.01)
 
