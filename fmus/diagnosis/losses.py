@@ -16,22 +16,28 @@ uncertain by the readings at both ends, by a flow, and by a share of the capacit
 pressure. The air is told from a fit of its own with a longer memory, of all functions together: they have the
 same oil. That of one function alone, after a hose was changed, is told above twice the limit.
 
-**Spool.** It does not follow if the flow stays below `RESPONSE` of the least that the commands of the last
-time ask for while the return edge does not say that it is open, if a load-sensing pump stands by although
-they ask for flow, or if oil passes the closed valve, in on one side and out on the other.
+**Balance.** A valve is open between a_- and a_+, by its least and largest command of the last time. With the
+flow q_- that comes into the chamber at least while it is filled, q_+ that goes out at most, and e of the
+return edge over the other one,
 
-**Burst.** What a chamber loses beyond what its valve can let out, unless the other side gains it:
+    q_- = a_-(u) K sqrt(P_s - P)/`OUTLET`
+    q_+ = `OUTLET` K (e a_+(-u) sqrt(P - P_t) + a_+(u) sqrt(P - P_s))
 
-    -q - `OUTLET` e K a(u) sqrt(P - P_t) - `burst_margin`        P < P_s: no relief valve is open
+a chamber has lost, or a void has grown by less than nothing,
 
-u: the largest command of the last time; e: opening of the return edge over that of the other one. The margin
-falls after a while at rest, so a leak is found that empties a chamber before its size is known. Or what an
-open valve lets in and does not arrive, as open as the return edge says by the flow q_r and the drop dP_r:
+    V' = q_- - q_+ - q - A |x_q| `CREEP` - `SOFT` C |P'|        V >= 0 unless it is empty
 
-    min(q_r/(e K sqrt(dP_r)), a(u)) K sqrt(dP)/`OUTLET` - q - `RESTING` `burst_margin`
+without what the other chamber gains beyond its valve, which are seals or the valve. In an empty chamber the
+margins count after the void is closed only. It is a burst hose above A |x_q| `TURN`: the sum of flows is as
+certain as the angle. q_- counts for it while the return edge lets oil out, or if that is not known, if the
+pressure has changed since the valve was closed, and an opening of `LEAST_OPENING` would let the rest out.
 
-A chamber at less than `LOST` that does not fill has a burst hose, too, if the pressure or the flow of the
-other side says that its valve is open.
+**Spool.** It does not follow if the same volume does not come: `RESPONSE` q_- without q, while the return
+edge is closed, or if that is not known, while the pressure stays where no burst hose would hold it, or where
+one would let it rise; or if this volume passes the closed valve, in on one side and out on the other.
+
+A relief valve that opens, or a pressure that jumps up, makes volumes uncertain: nothing is told for `CALMED`,
+and an empty chamber has a void of `CREDIT` of what the other one holds by its pressure.
 """
 
 from __future__ import annotations
@@ -44,12 +50,13 @@ import casadi as ca
 from fmus.components.chamber import ATMOSPHERE
 from fmus.contract import Scalar
 from fmus.diagnosis.estimates import FEWEST, FORGOTTEN, QUICK, Fit, Told, either, judged, shown, whether
-from fmus.diagnosis.readings import BLIND, ENDS, FILLED, LEAST_DROP, LONGER, PRESSURE, SMALL, Axis
+from fmus.diagnosis.readings import ENDS, LEAST_DROP, PRESSURE, RELIEVING, SMALL, Axis
 from fmus.diagnosis.unknowns import LITRE, TABLE, chambers_of
 from fmus.smooth import positive
 
 HOLDING = 0.8  # s, settling of a compensated section, whose counterbalance valves close last
 SHORTEST, PART = 0.15, 1.0  # s, a rest that counts, and a part of a long one
+PUSHED = 2.5e-4  # m3/s of oil that a load moves while the valve is closed: another valve is open
 CALM = 1e6  # Pa, twice the preload of the return line: below it an anti-cavitation valve may fill a chamber
 END_VOLUME = 2.5e-7  # m3, deviation of the oil at an end of a rest: half of the step of an encoder, a boom
 REST_FLOW = 5e-7  # m3/s, deviation of the flow in a rest: leakage of a valve that is another one
@@ -65,15 +72,22 @@ UNLEARNED = 12.0  # limits of the air if no healthy machine was measured: more t
 ALONE = 2.0  # limits of the air of one function
 LEAK, AIRY = 10.0, 0.005  # prior deviations: L/min at 100 bar, a seal or fitting that is gone; air
 OUTLET = 1.3  # flow through an edge over that of its known opening, at most: the density of the oil, too
-RESTING, SLOW = 1 / 3, 1 / 15  # of the margin of a burst after a while at rest; when the arm is at rest, too
-EMPTIED = 3.0  # weight of oil that is lost at rest, where only a load that changes moves some
-LONG = 0.6  # s, after which a chamber is at rest
-PASSED = 5e-5  # m3 that pass a closed valve: an arm that swings on its oil passes half of it to and fro
-SOFT = 4.0  # capacitances of a chamber: what a tenth of air adds in 10 L at 100 bar; a load moves that oil
-RESPONSE = 0.3  # flow over that of the known valve, at least: one 20 % smaller, with oil of -10 degC
-WAITING = 0.4  # of the time without response, if the pump waits: it needs longer than a valve
-EMPTY = 0.25  # of the same, of an empty chamber: it has to be filled first
-LOST = 1.5e6  # Pa: the weight of an arm or friction needs more
+RESPONSE = 0.5  # of the least flow, at least: a valve 20 % smaller, with oil of -10 degC
+WAITING = 0.4  # of the flow, if the pump waits: it needs longer than a valve
+TURN = 0.008  # rad or m of a joint, whose oil is lost: what lags and zeros of a healthy machine add up to
+MISSING = 1.5e-5  # m3, that does not come, or comes through a closed valve: a shock moves less
+CREEP = 0.012  # rad/s or m/s of a joint, that is no flow: below `MOVES`
+SOFT = 0.3  # of the flow by a change of pressure, for hoses that are not known
+LEAST_FLOW = 1e-4  # m3/s, through a return edge that tells whether it is open, or past a closed valve
+LOST = 1.5e6  # Pa: a burst hose cannot hold it behind a closed valve
+DISCHARGE = 0.62  # of a hole in a hose
+LEAST_OPENING, LARGEST = 1e-5, 6e-5  # m2, of a burst hose
+NOMINAL_OVER_LEAST = 1.5  # flow of a valve: the margins of its command and of `OUTLET`
+RISE = 5e4  # Pa, and a resolution: five times the noise of a pressure
+FILLING = 0.08  # s, with pressure, from which there is no void: flows are behind a lag and a bus
+SHOCK = 5e6  # Pa, by which a pressure is above its lag: an arm that is stopped hard, by an obstacle or an end
+CALMED = 0.15  # s: a relief valve closes, and flows have left their lag
+CREDIT = 2.0  # of the oil that a chamber takes up to the supply pressure: a shock reaches twice as much
 STANDBY, STOPPED = 3.5e6, 1e6  # Pa, up to which a load-sensing pump stands by; below which the engine stands
 
 
@@ -91,7 +105,7 @@ def air_limit(healthy: Scalar, p: Any) -> Scalar:
 def _rests(a: Axis) -> tuple[Any, Scalar, Scalar]:
     """Losses of both chambers in a rest, over their uncertainty; how many count; 1: it ends now."""
     m, p, actuator = a.m, a.p, a.actuator
-    pushed = whether(ca.fabs(a.speed) > p.burst_margin)  # a load moves the arm on its oil
+    pushed = whether(ca.fabs(a.speed) > PUSHED)  # a load moves the arm on its oil
     calm = [whether(v > CALM) * whether(v < a.tight) * (1 - pushed) for v in a.pressures]
     spoiled = [m.state(f"spoiled_{k}", "1: another valve was open at the begin of this rest") for k in (0, 1)]
     settles = a.closed * a.sound * (1 - pushed * a.compensated)  # its counterbalance valves open then
@@ -163,76 +177,78 @@ def leaks(a: Axis) -> dict[str, Told]:
     return told | {"air": (share, off, judged(more, off, ALONE * air_limit(healthy, p), enough))}
 
 
-def spool(a: Axis) -> dict[str, Told]:
-    """Whether it follows; which chambers do not fill although the valve is open."""
-    p, m, supply, tank = a.p, a.m, a.u.supply_pressure, a.u.tank_pressure
-    idle = whether(supply < STANDBY) * whether(supply > STOPPED)
-    missing, passed = list[Scalar](), list[Scalar]()
-    for k, area in enumerate((a.actuator.head_area, -a.actuator.rod_area)):
-        flow, drop, full, *_ = a.edge(k)
-        by_speed = area * a.lever * a.readings[1] * (1 - a.faulty[1])
-        moved, opened = ca.fmax(flow, by_speed), a.opened(k, a.least[k], -1)
-        asked = whether(opened * full > RESTING * p.burst_margin)  # creep speed, at least
-        late = asked * whether(moved < RESPONSE * opened * full)
-        waits, late = WAITING * idle * late, late * whether(drop > LEAST_DROP)
-        late *= ca.if_else(a.full[k] > 0, 1, EMPTY)
-        # an open valve lets the pressure of the other side down; a motor that stands has none, and a hose
-        # of a compensated section has none from the load
-        returned, known = a.return_edge(k)
-        passing = whether(returned > RESPONSE * opened * a.outlet(k)) * known
-        held = a.full[1 - k] * whether(a.pressures[1 - k] - tank > LOST) * (1 - passing)
-        late *= 1 - passing * a.full[k]
-        low = (not a.axis.turns) * whether(a.pressures[k] < LOST) * (1 - held) * (1 - a.compensated)
-        missing += [late * (1 - low), waits]
-        hidden = late * low * a.sound
-        text = "Time for which it does not fill although its valve is open"
-        a.hidden.append(m.sum(f"hidden_{k}", text, hidden, whether(hidden > 0), "s", FORGOTTEN))
-        closed = whether(a.most[k] < p.closed_command) * whether(a.pressures[k] - tank > FILLED)
-        soft = [SOFT * c * ca.fabs(a.rate[2 + side]) for side, c in enumerate(a.capacitances)]
-        through = ca.fmin(a.flows[k] - soft[k], -a.flows[1 - k] - soft[1 - k]) - RESTING * p.burst_margin
-        closed *= whether(ca.fmax(*a.pressures) < a.tight)  # a relief valve passes oil, too
-        counts = closed * a.sound * a.full[0] * a.full[1]
-        text = "Oil that came through the closed valve"
-        passed.append(m.sum(f"passed_{k}", text, through, counts, "m3", FORGOTTEN))
-    wrong = either(*missing) * a.sound
-    text = "Time for which the valve does not follow"
-    time = m.sum("missing", text, wrong, whether(wrong > 0), "s", FORGOTTEN)
-    told = either(whether(time > p.response_time), *(whether(v > PASSED) for v in passed))
-    m.latch("spool", a.spool, told * (1 - a.burst_told))
-    return {"spool": shown(a.spool, a.usable)}
-
-
-def bursts(a: Axis) -> dict[str, Told]:
-    """Hoses that lose more than a valve lets out."""
-    p, tank, told = a.p, a.u.tank_pressure, dict[str, Told]()
-    rest, still = RESTING * p.burst_margin, whether(ca.fabs(a.speed) < RESTING * p.burst_margin)
-    margin = ca.if_else(a.shut > LONG, rest, p.burst_margin)
-    margin = ca.if_else(still * whether(a.shut > LONGER) > 0, SLOW * p.burst_margin, margin)
-    usable = a.usable * (1 - a.spool)
-    for k, (mark, flow) in enumerate(zip(chambers_of(a.axis), a.flows, strict=True)):
-        pressure, other, sound = a.pressures[k], 1 - k, a.sound * a.full[k] * (1 - a.doubted[2 + k])
-        # what leaves it beyond the return edge; flows are behind a lag, so is the pressure
-        outlet = OUTLET * a.outlet(other) * a.opened(other, a.most[other], 1)
-        highest = positive(ca.fmax(pressure, a.late[2 + k]) - tank, SMALL)
-        gained = ca.fmax(a.flows[other], 0) * whether(a.pressures[other] - tank > FILLED)
-        loss = -flow - outlet * a.actuator.gain * ca.sqrt(highest) - gained
-        # a relief valve that closes late: the pressure that was a moment ago
-        before = pressure - ca.if_else(a.shut > LONGER, BLIND * a.rate[2 + k], 0)
-        supply = a.u.supply_pressure
-        tight = ca.if_else(a.compensated > 0, ca.fmin(supply, a.tight), supply)
-        counts = whether(ca.fmax(pressure, before) < tight) * sound
-        emptied = whether(a.shut > LONG) * whether(pressure < LOST) * (1 - a.compensated)
-        excess = (1 + (EMPTIED - 1) * emptied) * (loss - margin) * counts
-        # what comes through the edge into it, as open as the return edge says, and does not arrive
-        (returned, known), (_, drop, full, *_) = a.return_edge(k), a.edge(k)
-        open_by = ca.fmin(returned / a.outlet(k), a.opened(k, a.most[k], 1))
-        driven = whether(a.least[k] > p.closed_command) * known * whether(drop > LEAST_DROP)
-        starved = (open_by * full / OUTLET - flow) * driven
-        excess = ca.fmax(excess, (starved - rest) * sound)
-        counts = either(counts, whether(starved > 0) * sound)
-        lost = a.m.sum(f"lost_{k}", "Oil lost beyond its valve", excess, counts, "m3", FORGOTTEN)
-        hidden = whether(a.hidden[k] > p.response_time) * p.burst_margin
-        size = ca.fmax(whether(lost > p.burst_volume) * ca.fmax(loss, starved), hidden)
-        a.m.latch(f"burst_{k}", a.burst[k], size * (1 - a.spool) * a.sound)
+def balance(a: Axis) -> dict[str, Told]:
+    """Hoses that lose oil, and a spool that does not follow."""
+    p, m, tank, told = a.p, a.m, a.u.tank_pressure, dict[str, Told]()
+    relieved = RELIEVING * p.nominal_supply_pressure
+    tight = whether(ca.fmax(*a.pressures) < ca.if_else(a.compensated > 0, a.tight, relieved))
+    tight *= whether(ca.fmax(*a.behind[2:]) < SHOCK)
+    calm = m.sum("calm", "Time without an open relief valve or a shock", 1, tight)
+    sound = a.sound * (1 - either(*a.doubted[2:]))
+    counts, usable, stuck = sound * whether(calm > CALMED), a.usable * (1 - a.spool), 0
+    lines = zip(a.pressures, a.late[2:], strict=True)
+    below = [whether(ca.fmax(*v) < a.u.supply_pressure - 2 * p.zero_limit) for v in lines]
+    oil = [_expected(a, k) for k in (0, 1)]
+    jet, least = DISCHARGE * ca.sqrt(2 / a.actuator.density), RISE + p.pressure_resolution
+    for k, (mark, area) in enumerate(zip(chambers_of(a.axis), a.areas, strict=True)):
+        flow, pressure, (asked, _, most_in, most, soft) = a.flows[k], a.pressures[k], oil[k]
+        other, (_, returned, high, most_of_other, soft_of_other) = a.flows[1 - k], oil[1 - k]
+        swept = area * ca.fabs(a.lever)
+        limit = swept * (TURN + p.angle_resolution)
+        # whether the valve is open: by the return edge, or by the pressure since it opened
+        before = m.state(f"before_{k}", f"Pressure before its valve opened, {ENDS[k]}", "Pa", pressure)
+        m.moves(f"before_{k}", whether(a.most[k] < p.closed_command) * (pressure - before) / FORGOTTEN)
+        held, change = whether(before > LOST), ca.fabs(pressure - before)
+        known, passing = whether(returned > LEAST_FLOW), whether(-other > returned)
+        opening = (asked - flow) / (jet * ca.sqrt(positive(pressure - tank, SMALL)))
+        burst = whether(change > least) * whether(opening > LEAST_OPENING) * (1 - held)
+        # what it has lost, a void before
+        gained = ca.fmax(other - high - soft_of_other, 0) * whether(a.filled[1 - k])
+        gained *= OUTLET * ca.fmax(area / a.areas[1 - k], 1)
+        loss = asked * ca.if_else(known > 0, passing, burst) - flow - most - gained
+        void = ca.if_else(flow > 0, asked - flow, ca.fmax(loss, 0))
+        lost = m.state(f"lost_{k}", f"Oil lost beyond its valve, or less than none: a void, {ENDS[k]}", "m3")
+        excess = loss - swept * CREEP - soft
+        excess *= ca.if_else(excess > 0, below[k], 1)
+        filling = m.sum(f"filled_{k}", f"Time for which it is not empty, {ENDS[k]}", 1, whether(a.filled[k]))
+        empty = whether(filling < FILLING)
+        unknown = -CREDIT * a.capacitances[k] * p.nominal_supply_pressure
+        opens = ca.if_else(lost < 0, void, ca.if_else(excess > 0, excess, ca.fmin(void, 0)))
+        opens = ca.if_else(counts > 0, opens, ca.fmin(void, (unknown - lost) / FORGOTTEN))
+        closes = ca.fmax(excess * counts, -lost / QUICK)
+        m.moves(f"lost_{k}", ca.if_else(sound > 0, ca.if_else(empty > 0, opens, closes), -lost / QUICK))
         told[mark.format("burst")] = shown(a.burst[k], usable)
-    return told
+        size = whether(lost > limit) * ca.fmax(loss, LITRE)
+        m.latch(f"burst_{k}", a.burst[k], size * (1 - a.spool) * a.sound)
+        # what does not come though a valve should be open, and what comes though it is closed
+        shows = whether(NOMINAL_OVER_LEAST * asked > jet * LARGEST * ca.sqrt(least))
+        shows *= whether(change < least) * whether(lost >= 0)
+        shows = either(shows, held * whether(pressure > LOST))
+        still = (RESPONSE * asked - ca.fmax(flow, 0)) * ca.if_else(known > 0, 1 - passing, shows)
+        asks = sound * whether(ca.fmax(-flow, other) < asked / 2)  # not of an arm that rebounds
+        missing = m.sum(f"missing_{k}", f"Oil that does not come, {ENDS[k]}", still, asks, "m3", FORGOTTEN)
+        passes = ca.fmin(flow - most_in - soft, -most_of_other - other - soft_of_other) - LEAST_FLOW
+        passes *= whether(a.filled[0]) * whether(a.filled[1]) * below[1 - k]
+        text = f"Oil that comes beyond what its valve lets in, {ENDS[k]}"
+        passed = m.sum(f"passed_{k}", text, passes, counts, "m3", FORGOTTEN)
+        enough = MISSING + swept * p.angle_resolution
+        stuck = either(stuck, whether(ca.fmax(missing, passed) > enough))
+    m.latch("spool", a.spool, stuck * (1 - a.burst_told))
+    return told | {"spool": shown(a.spool, a.usable)}
+
+
+def _expected(a: Axis, k: int) -> tuple[Scalar, ...]:
+    """Least flow into a chamber while it is filled, least out of it, most in, most out; of its pressure."""
+    p, other, pressure, supply, tank = a.p, 1 - k, a.pressures[k], a.u.supply_pressure, a.u.tank_pressure
+    _, drop, full, *_ = a.edge(k)
+    idle = whether(supply < STANDBY) * whether(supply > STOPPED)
+    asked = ca.if_else(drop > LEAST_DROP, 1, idle * WAITING) * full * a.opened(k, a.least[k], -1) / OUTLET
+    edge, widest = a.outlet(other) * a.actuator.gain, a.opened(k, a.most[k], 1)
+    highest, lowest = ca.fmax(pressure, a.late[2 + k]), ca.fmin(pressure, a.late[2 + k])
+    least = edge * a.opened(other, a.least[other], -1) / OUTLET * (1 - a.compensated)
+    least *= ca.sqrt(positive(lowest - tank - 2 * p.zero_limit, SMALL))
+    most = edge * a.opened(other, a.most[other], 1) * ca.sqrt(positive(highest - tank + p.zero_limit, SMALL))
+    # into the supply, if its pressure is lower
+    most += a.actuator.gain * widest * ca.sqrt(positive(highest - supply + p.zero_limit, SMALL))
+    soft = SOFT * a.capacitances[k] * ca.fabs(a.rate[2 + k])
+    return asked, least, OUTLET * full * widest - least, OUTLET * most, soft

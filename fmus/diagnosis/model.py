@@ -68,7 +68,7 @@ class Diagnosis:
         margin = ca.mmin(ca.vertcat(*(a.least_drop for a in axes)))
         for a in axes:
             a.completed(1 - wrong, speeds, margin)
-            checks = a.sensors(), losses.leaks(a), losses.spool(a), losses.bursts(a), valves.valve(a)
+            checks = a.sensors(), losses.leaks(a), losses.balance(a), valves.valve(a)
             for n, one in (row for check in checks for row in check.items()):
                 told[n if n.endswith("_sensor") else f"{a.axis.name}_{n}"] = one
         self._pressures(m, axes, u, p, told)

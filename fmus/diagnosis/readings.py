@@ -39,7 +39,6 @@ TRAVEL = 0.8  # V, command after a reversal from which a valve follows: 8 % of f
 CLOSING = 0.1  # s, time constant with which a valve opens or closes at the latest: a slow pilot head, a bus
 STOPPED = 0.1  # s, for which the valve is closed when a stroke has ended: not within that of a tremor
 MARGIN = 0.25  # V, what a command may be off a healthy valve: the machine at another temperature
-LONGER = 1.5  # s, after which a chamber is at rest, and its arm as well
 LOWEST = -5e5  # Pa: a chamber is empty at -1 bar; zeros are off by 3 bar
 END = 0.98  # of the highest pressure that is a reading: a sensor at the end of its range
 MOVES = 0.015  # rad/s, at which a joint moves: five times the noise of angle and speed
@@ -101,7 +100,6 @@ class Axis:
         self.late_command = m.lag("late_command", self.command, 2 * p.lag, "Command", "V")
         self.trailing = m.state("trailing", "That behind a play", "V", self.command)
         m.moves("trailing", play_rate(self.late_command, self.trailing, TRAVEL, 50.0, TRAVEL / 10))
-        self.hidden = list[Scalar]()  # s, for which a chamber does not fill although its valve is open
         self.spool = m.state("spool", "1: the spool does not follow")
         texts = (f"Largest loss beyond its valve, {end}" for end in ENDS)
         self.burst = [m.state(f"burst_{k}", text, "m3/s") for k, text in enumerate(texts)]
@@ -113,6 +111,8 @@ class Axis:
         a, m, p = self.actuator, self.m, self.p
         self.compensated = whether(a.section_flows[0] > 0)
         self.capacitances, speed = (a.head_capacitance, a.rod_capacitance), self.lever * self.rate[0]
+        self.areas = a.head_area, a.rod_area
+        self.filled = [v > FILLED + p.zero_limit for v in self.pressures]
         self.speed = a.head_area * speed  # of the oil at the head side [m3/s]
         self.flows = (
             self.speed + a.head_capacitance * self.rate[2],

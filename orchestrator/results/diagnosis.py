@@ -48,7 +48,7 @@ ROUNDED = 0.02  # of the largest reading, within which a single change is roundi
 ALONE = 0.25  # of its change, by which those before and after an outlier may change
 BEYOND = 1.5  # times the full command of a valve
 # settings for readings of each step
-COUNTED = ("still_time", "response_time", "burst_volume", "delay_limit")
+COUNTED = ("still_time", "delay_limit")
 KNOWN = 100.0  # a deviation of the prior over one from which a size can be learned that is never told
 STATES = {1.0: "a fault", 0.0: "none", -1.0: "not known"}
 FITTED, REFERENCE = "_fitted", "_reference"
