@@ -25,9 +25,10 @@ return edge over the other one,
 
 a chamber has lost, or a void has grown by less than nothing,
 
-    V' = q_- - q_+ - q - A |x_q| `CREEP` - `SOFT` C |P'|        V >= 0 unless it is empty
+    V' = q_- - q_+ - q - A |x_q| `CREEP` - (`SOFT` C - s V da/dP) |P'|        V >= 0 unless it is empty
 
-without what the other chamber gains beyond its valve, which are seals or the valve. In an empty chamber the
+with the air s of the healthy machine, and without what the other chamber gains beyond its valve, which are
+seals or the valve. In an empty chamber the
 margins count after the void is closed only. It is a burst hose above A |x_q| `TURN`: the sum of flows is as
 certain as the angle. q_- counts for it while the return edge lets oil out, or if that is not known, if the
 pressure has changed since the valve was closed, and an opening of `LEAST_OPENING` would let the rest out.
@@ -76,6 +77,7 @@ RESPONSE = 0.5  # of the least flow, at least: a valve 20 % smaller, with oil of
 WAITING = 0.4  # of the flow, if the pump waits: it needs longer than a valve
 TURN = 0.008  # rad or m of a joint, whose oil is lost: what lags and zeros of a healthy machine add up to
 MISSING = 1.5e-5  # m3, that does not come, or comes through a closed valve: a shock moves less
+PASSING = 3.0  # times this volume, through a closed valve: an arm that sways on its oil, read 20 times a second
 CREEP = 0.012  # rad/s or m/s of a joint, that is no flow: below `MOVES`
 SOFT = 0.3  # of the flow by a change of pressure, for hoses that are not known
 LEAST_FLOW = 1e-4  # m3/s, through a return edge that tells whether it is open, or past a closed valve
@@ -86,6 +88,7 @@ NOMINAL_OVER_LEAST = 1.5  # flow of a valve: the margins of its command and of `
 RISE = 5e4  # Pa, and a resolution: five times the noise of a pressure
 FILLING = 0.08  # s, with pressure, from which there is no void: flows are behind a lag and a bus
 SHOCK = 5e6  # Pa, by which a pressure is above its lag: an arm that is stopped hard, by an obstacle or an end
+IMPACT = 0.5  # rad/s or m/s, by which a speed is off its lag: 17 rad/s2, three times what a valve does
 CALMED = 0.15  # s: a relief valve closes, and flows have left their lag
 CREDIT = 2.0  # of the oil that a chamber takes up to the supply pressure: a shock reaches twice as much
 STANDBY, STOPPED = 3.5e6, 1e6  # Pa, up to which a load-sensing pump stands by; below which the engine stands
@@ -182,10 +185,14 @@ def balance(a: Axis) -> dict[str, Told]:
     p, m, tank, told = a.p, a.m, a.u.tank_pressure, dict[str, Told]()
     relieved = RELIEVING * p.nominal_supply_pressure
     tight = whether(ca.fmax(*a.pressures) < ca.if_else(a.compensated > 0, a.tight, relieved))
-    tight *= whether(ca.fmax(*a.behind[2:]) < SHOCK)
+    even = whether(ca.fabs(a.behind[1]) < IMPACT)
+    tight *= whether(ca.fmax(*a.behind[2:]) < SHOCK) * even
     calm = m.sum("calm", "Time without an open relief valve or a shock", 1, tight)
+    shaken = m.state("shaken", "Time for which an impact is not over", "s")
+    m.moves("shaken", ca.if_else(even > 0, -ca.fmin(1, shaken / QUICK), (CALMED - shaken) / QUICK))
+    followed = even * whether(shaken < QUICK / 2)
     sound = a.sound * (1 - either(*a.doubted[2:]))
-    counts, usable, stuck = sound * whether(calm > CALMED), a.usable * (1 - a.spool), 0
+    counts, usable, stuck = sound * tight * whether(calm > CALMED), a.usable * (1 - a.spool), 0
     lines = zip(a.pressures, a.late[2:], strict=True)
     below = [whether(ca.fmax(*v) < a.u.supply_pressure - 2 * p.zero_limit) for v in lines]
     oil = [_expected(a, k) for k in (0, 1)]
@@ -223,16 +230,16 @@ def balance(a: Axis) -> dict[str, Told]:
         # what does not come though a valve should be open, and what comes though it is closed
         shows = whether(NOMINAL_OVER_LEAST * asked > jet * LARGEST * ca.sqrt(least))
         shows *= whether(change < least) * whether(lost >= 0)
-        shows = either(shows, held * whether(pressure > LOST))
+        shows = either(shows, held * whether(pressure > LOST) * (1 - empty))
         still = (RESPONSE * asked - ca.fmax(flow, 0)) * ca.if_else(known > 0, 1 - passing, shows)
-        asks = sound * whether(ca.fmax(-flow, other) < asked / 2)  # not of an arm that rebounds
+        asks = sound * followed * whether(ca.fmax(-flow, other) < asked / 2)  # not of an arm that rebounds
         missing = m.sum(f"missing_{k}", f"Oil that does not come, {ENDS[k]}", still, asks, "m3", FORGOTTEN)
         passes = ca.fmin(flow - most_in - soft, -most_of_other - other - soft_of_other) - LEAST_FLOW
         passes *= whether(a.filled[0]) * whether(a.filled[1]) * below[1 - k]
         text = f"Oil that comes beyond what its valve lets in, {ENDS[k]}"
         passed = m.sum(f"passed_{k}", text, passes, counts, "m3", FORGOTTEN)
         enough = MISSING + swept * p.angle_resolution
-        stuck = either(stuck, whether(ca.fmax(missing, passed) > enough))
+        stuck = either(stuck, whether(ca.fmax(missing, passed / PASSING) > enough))
     m.latch("spool", a.spool, stuck * (1 - a.burst_told))
     return told | {"spool": shown(a.spool, a.usable)}
 
@@ -247,8 +254,10 @@ def _expected(a: Axis, k: int) -> tuple[Scalar, ...]:
     highest, lowest = ca.fmax(pressure, a.late[2 + k]), ca.fmin(pressure, a.late[2 + k])
     least = edge * a.opened(other, a.least[other], -1) / OUTLET * (1 - a.compensated)
     least *= ca.sqrt(positive(lowest - tank - 2 * p.zero_limit, SMALL))
-    most = edge * a.opened(other, a.most[other], 1) * ca.sqrt(positive(highest - tank + p.zero_limit, SMALL))
+    most = edge * a.opened(other, a.most[other], 1) * ca.sqrt(positive(highest - tank + 2 * p.zero_limit, SMALL))
     # into the supply, if its pressure is lower
-    most += a.actuator.gain * widest * ca.sqrt(positive(highest - supply + p.zero_limit, SMALL))
-    soft = SOFT * a.capacitances[k] * ca.fabs(a.rate[2 + k])
+    most += a.actuator.gain * widest * ca.sqrt(positive(highest - supply + 2 * p.zero_limit, SMALL))
+    absolute = ca.fmax(lowest + ATMOSPHERE, ATMOSPHERE)
+    air = p.bulk_modulus * ca.fmax(a.reference("air"), 0) * air_volume(lowest) / (EXPONENT * absolute)
+    soft = (SOFT + air) * a.capacitances[k] * ca.fabs(a.rate[2 + k])
     return asked, least, OUTLET * full * widest - least, OUTLET * most, soft

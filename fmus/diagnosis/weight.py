@@ -239,7 +239,10 @@ def weighed(
     states = [judged(v, d, p.weighing_limit, enough) for v, d in wrong]
     force, spread = sum(v for v, _ in wrong), ca.mmax(ca.vertcat(*(d for _, d in wrong)))
     off_force = ca.if_else(force > 0, sum(d * whether(v > 0) for v, d in wrong), spread)
-    state = ca.if_else(either(*states) > 0, 1, ca.mmin(ca.vertcat(*states)))  # none: of all cylinders
+    one = either(*states)
+    time = m.sum("wrong_pressure", "Time for which a pressure seems to be wrong", 1, whether(one > 0))
+    # at once it may be the begin of another payload; none is wrong: of all cylinders
+    state = ca.if_else(one > 0, whether(time > SURE) - whether(time <= SURE), ca.mmin(ca.vertcat(*states)))
     # the tare
     scales = [u.prior for u in tare.values()]
     priors = [(1.0, reference(n, p) / scale) for n, scale in zip(tare, scales, strict=True)]
