@@ -88,6 +88,8 @@ NOMINAL_OVER_LEAST = 1.5  # flow of a valve: the margins of its command and of `
 RISE = 5e4  # Pa, and a resolution: five times the noise of a pressure
 FILLING = 0.08  # s, with pressure, from which there is no void: flows are behind a lag and a bus
 SHOCK = 5e6  # Pa, by which a pressure is above its lag: an arm that is stopped hard, by an obstacle or an end
+SAG = 2e6  # Pa, by which the supply is off its lag: a pump that is overrun, while valves are open
+END = 0.02  # m, from the end of a stroke
 IMPACT = 0.5  # rad/s or m/s, by which a speed is off its lag: 17 rad/s2, three times what a valve does
 CALMED = 0.15  # s: a relief valve closes, and flows have left their lag
 CREDIT = 2.0  # of the oil that a chamber takes up to the supply pressure: a shock reaches twice as much
@@ -186,11 +188,14 @@ def balance(a: Axis) -> dict[str, Told]:
     relieved = RELIEVING * p.nominal_supply_pressure
     tight = whether(ca.fmax(*a.pressures) < ca.if_else(a.compensated > 0, a.tight, relieved))
     even = whether(ca.fabs(a.behind[1]) < IMPACT)
-    tight *= whether(ca.fmax(*a.behind[2:]) < SHOCK) * even
+    sag = a.u.supply_pressure - m.lag("late_supply", a.u.supply_pressure, p.lag, "Supply pressure", "Pa")
+    tight *= whether(ca.fmax(*a.behind[2:]) < SHOCK) * whether(ca.fabs(sag) < SAG) * even
     calm = m.sum("calm", "Time without an open relief valve or a shock", 1, tight)
     shaken = m.state("shaken", "Time for which an impact is not over", "s")
     m.moves("shaken", ca.if_else(even > 0, -ca.fmin(1, shaken / QUICK), (CALMED - shaken) / QUICK))
     followed = even * whether(shaken < QUICK / 2)
+    if not a.axis.turns:  # a piston at its end comes back
+        followed *= whether(a.position > END) * whether(a.position < getattr(p, a.axis.name).stroke - END)
     sound = a.sound * (1 - either(*a.doubted[2:]))
     counts, usable, stuck = sound * tight * whether(calm > CALMED), a.usable * (1 - a.spool), 0
     lines = zip(a.pressures, a.late[2:], strict=True)

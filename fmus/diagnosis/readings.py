@@ -202,7 +202,7 @@ class Axis:
         steady = whether(ca.fabs(self.behind[1]) < STEADY) * self.fitted[1]
         for pressure, other, way in zip(self.pressures, self.behind[:1:-1], (1, -1), strict=True):
             # an empty chamber has a constant pressure, and one that is emptied at a constant speed may have
-            constant = steady * turns * whether(way * self.lever * self.readings[1] < 0)
+            constant = steady * whether(way * self.lever * self.late[1] < -MOVES * ca.fabs(self.lever))
             seen = whether(ca.fabs(other) > lively) * whether(pressure > least)
             changes.append(seen * (1 - constant))
         self.doubted = list[Scalar]()

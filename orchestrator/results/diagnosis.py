@@ -453,7 +453,7 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
     The second value is the time between two of them [s], of the slowest.
     """
     variables, remarks, signals = component.interface.variables, list[str](), dict(trace.signals)
-    held = 1.0
+    held, alone, turned = 1.0, dict[str, Any](), dict[str, Array]()
     steps, jumps = np.diff(trace.time), np.zeros(len(trace.time) - 1)
     for name, values in trace.signals.items():
         if name.endswith("_command") or not np.ptp(values):
@@ -465,12 +465,18 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
         before, after = np.diff(values)[:-1], np.diff(values)[1:]
         usual = float(np.quantile(np.abs(np.diff(values)), 0.95))
         least = max(SPIKE * usual, 0.2 * np.ptp(values), ROUNDED * np.abs(values).max())
-        spikes = np.minimum(np.abs(before), np.abs(after)) > least
-        spikes &= np.abs(before + after) < 0.2 * np.abs(before)
-        # not amid others that change as much: an arm that is shaken
+        change = np.where(before * after < 0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+        spikes = (change > least) & (np.abs(before + after) < 0.2 * np.abs(before))
+        # not amid others that change as much, or with another reading: an arm that is shaken, a pump overrun
         spikes[1:] &= np.abs(before[:-1]) < ALONE * np.abs(before[1:])
         spikes[:-1] &= np.abs(after[1:]) < ALONE * np.abs(before[:-1])
+        alone[name], turned[name] = spikes, change
+    for name, spikes in alone.items():
+        unit = variables[name].unit_name
+        for other in (n for n in turned if n != name and variables[n].unit_name == unit):
+            spikes &= turned[other] < ALONE * turned[name]
         if rows := [int(k) for k in np.flatnonzero(spikes) + 1]:
+            values = signals[name]
             signals[name] = values.copy()
             signals[name][rows] = values[[k - 1 for k in rows]]
             remarks.append(
