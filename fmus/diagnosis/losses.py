@@ -221,7 +221,8 @@ def balance(a: Axis) -> dict[str, Told]:
         void = ca.if_else(flow > 0, asked - flow, ca.fmax(loss, 0))
         lost = m.state(f"lost_{k}", f"Oil lost beyond its valve, or less than none: a void, {ENDS[k]}", "m3")
         excess = loss - swept * CREEP - soft
-        excess *= ca.if_else(excess > 0, below[k], 1)
+        through = jet * LEAST_OPENING * ca.sqrt(positive(pressure - tank, SMALL))
+        excess *= ca.if_else(excess > 0, below[k] * whether(loss > through), 1)
         filling = m.sum(f"filled_{k}", f"Time for which it is not empty, {ENDS[k]}", 1, whether(a.filled[k]))
         empty = whether(filling < FILLING)
         unknown = -CREDIT * a.capacitances[k] * p.nominal_supply_pressure
