@@ -94,6 +94,8 @@ def examined(job: tuple[int, range, int], fmu: Path, styles: Sequence[str], what
     stored = dict[str, Columns]()
     for name in what:  # wear of the last file is the longest
         stored |= field.recordings(field.plants(seeds, kind, name), lane)
+    if "learned" not in stored:  # its engine does not turn the pumps with oil that is so cold
+        return {}, [], [], []
     healthy = learned_values(told(fmu, field.sensed(stored["learned"], seed), swap, {}))
     hours, alarms, payloads = dict[str, float](), list[Alarm](), list[Weighed]()
     for style, truth in ((s, stored[s]) for s in (*styles, QUIET) if s in stored):
