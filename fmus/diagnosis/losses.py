@@ -20,25 +20,27 @@ same oil. That of one function alone, after a hose was changed, is told above tw
 flow q_- that comes into the chamber at least while it is filled, q_+ that goes out at most, and e of the
 return edge over the other one,
 
-    q_- = a_-(u) K sqrt(P_s - P)/`OUTLET`
-    q_+ = `OUTLET` K (e a_+(-u) sqrt(P - P_t) + a_+(u) sqrt(P - P_s))
+    q_- = a_-(u) K sqrt(P_s - P)/`OUTLET`, of a compensated section a_-(u) q_0/`OUTLET`
+    q_+ = `OUTLET` K e a_+(-u) sqrt(P - P_t)
 
 a chamber has lost, or a void has grown by less than nothing,
 
     V' = q_- - q_+ - q - A |x_q| `CREEP` - (`SOFT` C - s V da/dP) |P'|        V >= 0 unless it is empty
 
 with the air s of the healthy machine, and without what the other chamber gains beyond its valve, which are
-seals or the valve. In an empty chamber the
-margins count after the void is closed only. It is a burst hose above A |x_q| `TURN`: the sum of flows is as
-certain as the angle. q_- counts for it while the return edge lets oil out, or if that is not known, if the
-pressure has changed since the valve was closed, and an opening of `LEAST_OPENING` would let the rest out.
+seals or the valve. In an empty chamber the margins count after the void is closed only. It is a burst hose
+above A |x_q| times `TURN` and the resolution of the angle: the sum of flows is as certain as it. A loss
+counts below the supply pressure, and from that through `LEAST_OPENING` on. q_- counts while the return edge
+lets oil out, or if that is not known, if the pressure has changed since the valve was closed, and was below
+`BEARING` then.
 
 **Spool.** It does not follow if the same volume does not come: `RESPONSE` q_- without q, while the return
 edge is closed, or if that is not known, while the pressure stays where no burst hose would hold it, or where
-one would let it rise; or if this volume passes the closed valve, in on one side and out on the other.
+one would let it rise; or if `PASSING` of it passes beyond what its edges let in and out.
 
-A relief valve that opens, or a pressure that jumps up, makes volumes uncertain: nothing is told for `CALMED`,
-and an empty chamber has a void of `CREDIT` of what the other one holds by its pressure.
+A relief valve that opens, a pressure that jumps up, a supply that changes, an impact, and a gap of readings
+make volumes uncertain: no loss counts for `CALMED`, and an empty chamber has a void of `CREDIT` of what the
+other one holds by its pressure.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ from fmus.components.chamber import ATMOSPHERE
 from fmus.contract import Scalar
 from fmus.diagnosis.estimates import FEWEST, FORGOTTEN, QUICK, Fit, Told, either, judged, shown, whether
 from fmus.diagnosis.readings import ENDS, LEAST_DROP, PRESSURE, RELIEVING, SMALL, Axis
-from fmus.diagnosis.unknowns import LITRE, TABLE, chambers_of
+from fmus.diagnosis.unknowns import EDGES, LITRE, TABLE, chambers_of
 from fmus.smooth import positive
 
 HOLDING = 0.8  # s, settling of a compensated section, whose counterbalance valves close last
@@ -76,19 +78,18 @@ OUTLET = 1.3  # flow through an edge over that of its known opening, at most: th
 RESPONSE = 0.5  # of the least flow, at least: a valve 20 % smaller, with oil of -10 degC
 WAITING = 0.4  # of the flow, if the pump waits: it needs longer than a valve
 TURN = 0.008  # rad or m of a joint, whose oil is lost: what lags and zeros of a healthy machine add up to
-MISSING = 1.5e-5  # m3, that does not come, or comes through a closed valve: a shock moves less
-PASSING = 3.0  # times this volume, through a closed valve: an arm that sways on its oil, read 20 times a second
+MISSING = 1.5e-5  # m3, that does not come: a shock moves less
+PASSING = 3.0  # times this volume, through a closed valve: an arm that sways on its oil, at 20 Hz
 CREEP = 0.012  # rad/s or m/s of a joint, that is no flow: below `MOVES`
 SOFT = 0.3  # of the flow by a change of pressure, for hoses that are not known
 LEAST_FLOW = 1e-4  # m3/s, through a return edge that tells whether it is open, or past a closed valve
-LOST = 1.5e6  # Pa: a burst hose cannot hold it behind a closed valve
-DISCHARGE = 0.62  # of a hole in a hose
+BEARING = 1.5e6  # Pa: a burst hose cannot hold it behind a closed valve
 LEAST_OPENING, LARGEST = 1e-5, 6e-5  # m2, of a burst hose
-NOMINAL_OVER_LEAST = 1.5  # flow of a valve: the margins of its command and of `OUTLET`
+NOMINAL_OVER_LEAST = 1.5  # flow of the known valve over the least one: `MARGIN` and `OUTLET`
 RISE = 5e4  # Pa, and a resolution: five times the noise of a pressure
 FILLING = 0.08  # s, with pressure, from which there is no void: flows are behind a lag and a bus
 SHOCK = 5e6  # Pa, by which a pressure is above its lag: an arm that is stopped hard, by an obstacle or an end
-SAG = 2e6  # Pa, by which the supply is off its lag: a pump that is overrun, while valves are open
+SAG = 2e6  # Pa, by which the supply is off its lag: a pump that is overrun, or starts
 END = 0.02  # m, from the end of a stroke
 IMPACT = 0.5  # rad/s or m/s, by which a speed is off its lag: 17 rad/s2, three times what a valve does
 CALMED = 0.15  # s: a relief valve closes, and flows have left their lag
@@ -185,23 +186,21 @@ def leaks(a: Axis) -> dict[str, Told]:
 def balance(a: Axis) -> dict[str, Told]:
     """Hoses that lose oil, and a spool that does not follow."""
     p, m, tank, told = a.p, a.m, a.u.tank_pressure, dict[str, Told]()
+    sound = a.sound * (1 - either(*a.doubted[2:]))
     relieved = RELIEVING * p.nominal_supply_pressure
     tight = whether(ca.fmax(*a.pressures) < ca.if_else(a.compensated > 0, a.tight, relieved))
     even = whether(ca.fabs(a.behind[1]) < IMPACT)
     sag = a.u.supply_pressure - m.lag("late_supply", a.u.supply_pressure, p.lag, "Supply pressure", "Pa")
     tight *= whether(ca.fmax(*a.behind[2:]) < SHOCK) * whether(ca.fabs(sag) < SAG) * even
-    calm = m.sum("calm", "Time without an open relief valve or a shock", 1, tight)
+    calm = m.sum("calm", "Time without an open relief valve, a shock, a gap", 1, tight * sound)
     shaken = m.state("shaken", "Time for which an impact is not over", "s")
     m.moves("shaken", ca.if_else(even > 0, -ca.fmin(1, shaken / QUICK), (CALMED - shaken) / QUICK))
     followed = even * whether(shaken < QUICK / 2)
-    if not a.axis.turns:  # a piston at its end comes back
-        followed *= whether(a.position > END) * whether(a.position < getattr(p, a.axis.name).stroke - END)
-    sound = a.sound * (1 - either(*a.doubted[2:]))
     counts, usable, stuck = sound * tight * whether(calm > CALMED), a.usable * (1 - a.spool), 0
     lines = zip(a.pressures, a.late[2:], strict=True)
     below = [whether(ca.fmax(*v) < a.u.supply_pressure - 2 * p.zero_limit) for v in lines]
     oil = [_expected(a, k) for k in (0, 1)]
-    jet, least = DISCHARGE * ca.sqrt(2 / a.actuator.density), RISE + p.pressure_resolution
+    jet, least = a.actuator.gain / a.actuator.valve.area, RISE + p.pressure_resolution
     for k, (mark, area) in enumerate(zip(chambers_of(a.axis), a.areas, strict=True)):
         flow, pressure, (asked, _, most_in, most, soft) = a.flows[k], a.pressures[k], oil[k]
         other, (_, returned, high, most_of_other, soft_of_other) = a.flows[1 - k], oil[1 - k]
@@ -210,38 +209,40 @@ def balance(a: Axis) -> dict[str, Told]:
         # whether the valve is open: by the return edge, or by the pressure since it opened
         before = m.state(f"before_{k}", f"Pressure before its valve opened, {ENDS[k]}", "Pa", pressure)
         m.moves(f"before_{k}", whether(a.most[k] < p.closed_command) * (pressure - before) / FORGOTTEN)
-        held, change = whether(before > LOST), ca.fabs(pressure - before)
+        held, change = whether(before > BEARING), ca.fabs(pressure - before)
         known, passing = whether(returned > LEAST_FLOW), whether(-other > returned)
-        opening = (asked - flow) / (jet * ca.sqrt(positive(pressure - tank, SMALL)))
-        burst = whether(change > least) * whether(opening > LEAST_OPENING) * (1 - held)
+        through = jet * LEAST_OPENING * ca.sqrt(positive(pressure - tank, SMALL))
+        burst = whether(change > least) * whether(asked - flow > through) * (1 - held)
         # what it has lost, a void before
-        gained = ca.fmax(other - high - soft_of_other, 0) * whether(a.filled[1 - k])
+        gained = ca.fmax(other - high - soft_of_other, 0) * a.filled[1 - k]
         gained *= OUTLET * ca.fmax(area / a.areas[1 - k], 1)
         loss = asked * ca.if_else(known > 0, passing, burst) - flow - most - gained
         void = ca.if_else(flow > 0, asked - flow, ca.fmax(loss, 0))
         lost = m.state(f"lost_{k}", f"Oil lost beyond its valve, or less than none: a void, {ENDS[k]}", "m3")
         excess = loss - swept * CREEP - soft
-        through = jet * LEAST_OPENING * ca.sqrt(positive(pressure - tank, SMALL))
         excess *= ca.if_else(excess > 0, below[k] * whether(loss > through), 1)
-        filling = m.sum(f"filled_{k}", f"Time for which it is not empty, {ENDS[k]}", 1, whether(a.filled[k]))
+        filling = m.sum(f"filled_{k}", f"Time for which it is not empty, {ENDS[k]}", 1, a.filled[k])
         empty = whether(filling < FILLING)
         unknown = -CREDIT * a.capacitances[k] * p.nominal_supply_pressure
         opens = ca.if_else(lost < 0, void, ca.if_else(excess > 0, excess, ca.fmin(void, 0)))
         opens = ca.if_else(counts > 0, opens, ca.fmin(void, (unknown - lost) / FORGOTTEN))
         closes = ca.fmax(excess * counts, -lost / QUICK)
-        m.moves(f"lost_{k}", ca.if_else(sound > 0, ca.if_else(empty > 0, opens, closes), -lost / QUICK))
+        change_of_oil = ca.if_else(empty > 0, opens, closes)
+        m.moves(f"lost_{k}", ca.if_else(sound > 0, change_of_oil, -ca.fmax(lost, 0) / QUICK))
         told[mark.format("burst")] = shown(a.burst[k], usable)
         size = whether(lost > limit) * ca.fmax(loss, LITRE)
         m.latch(f"burst_{k}", a.burst[k], size * (1 - a.spool) * a.sound)
         # what does not come though a valve should be open, and what comes though it is closed
         shows = whether(NOMINAL_OVER_LEAST * asked > jet * LARGEST * ca.sqrt(least))
         shows *= whether(change < least) * whether(lost >= 0)
-        shows = either(shows, held * whether(pressure > LOST) * (1 - empty))
+        shows = either(shows, held * whether(pressure > BEARING) * (1 - empty))
         still = (RESPONSE * asked - ca.fmax(flow, 0)) * ca.if_else(known > 0, 1 - passing, shows)
-        asks = sound * followed * whether(ca.fmax(-flow, other) < asked / 2)  # not of an arm that rebounds
+        # not of an arm that rebounds, also from the end of a stroke
+        left = END if a.axis.turns else (getattr(p, a.axis.name).stroke - a.position, a.position)[k]
+        asks = sound * followed * whether(ca.fmax(-flow, other) < asked / 2) * whether(left >= END)
         missing = m.sum(f"missing_{k}", f"Oil that does not come, {ENDS[k]}", still, asks, "m3", FORGOTTEN)
         passes = ca.fmin(flow - most_in - soft, -most_of_other - other - soft_of_other) - LEAST_FLOW
-        passes *= whether(a.filled[0]) * whether(a.filled[1]) * below[1 - k]
+        passes *= a.filled[0] * a.filled[1] * below[1 - k]
         text = f"Oil that comes beyond what its valve lets in, {ENDS[k]}"
         passed = m.sum(f"passed_{k}", text, passes, counts, "m3", FORGOTTEN)
         enough = MISSING + swept * p.angle_resolution
@@ -256,13 +257,12 @@ def _expected(a: Axis, k: int) -> tuple[Scalar, ...]:
     _, drop, full, *_ = a.edge(k)
     idle = whether(supply < STANDBY) * whether(supply > STOPPED)
     asked = ca.if_else(drop > LEAST_DROP, 1, idle * WAITING) * full * a.opened(k, a.least[k], -1) / OUTLET
-    edge, widest = a.outlet(other) * a.actuator.gain, a.opened(k, a.most[k], 1)
+    edge, widest = a.reference(EDGES[other]) * a.actuator.gain, a.opened(k, a.most[k], 1)
     highest, lowest = ca.fmax(pressure, a.late[2 + k]), ca.fmin(pressure, a.late[2 + k])
     least = edge * a.opened(other, a.least[other], -1) / OUTLET * (1 - a.compensated)
     least *= ca.sqrt(positive(lowest - tank - 2 * p.zero_limit, SMALL))
-    most = edge * a.opened(other, a.most[other], 1) * ca.sqrt(positive(highest - tank + 2 * p.zero_limit, SMALL))
-    # into the supply, if its pressure is lower
-    most += a.actuator.gain * widest * ca.sqrt(positive(highest - supply + 2 * p.zero_limit, SMALL))
+    most = edge * a.opened(other, a.most[other], 1)
+    most *= ca.sqrt(positive(highest - tank + 2 * p.zero_limit, SMALL))
     absolute = ca.fmax(lowest + ATMOSPHERE, ATMOSPHERE)
     air = p.bulk_modulus * ca.fmax(a.reference("air"), 0) * air_volume(lowest) / (EXPONENT * absolute)
     soft = (SOFT + air) * a.capacitances[k] * ca.fabs(a.rate[2 + k])

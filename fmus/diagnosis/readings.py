@@ -23,13 +23,13 @@ from fmus.contract import Scalar
 from fmus.controller.arm import ControlledAxis
 from fmus.controller.valve import Actuator
 from fmus.diagnosis.estimates import QUICK, SAMPLING, States, Told, either, shown, whether
-from fmus.diagnosis.unknowns import EDGES, reference, signals_of
+from fmus.diagnosis.unknowns import reference, signals_of
 from fmus.smooth import positive
 
 ENDS = "head side or line A", "rod side or line B"
 PRESSURE = 1e7  # Pa, scale of pressures in the normal equations
 SMALL = 1e4  # Pa, over which the root of a pressure is rounded
-FILLED = 2e5  # Pa above the return line, in a chamber that oil flows into
+FILLED = 2e5  # Pa, and the zero of a sensor: of a chamber that is not empty
 RELIEVING = 1.1  # times the supply pressure: a relief valve of a chamber is open
 RELIEVED = 0.15  # of the supply pressure, by which a counterbalance valve may open below it
 LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
@@ -92,7 +92,9 @@ class Axis:
         self._bad = [m.state(f"bad_{k}", f"1: the reading of {n} is wrong") for k, n in enumerate(signals)]
         fast = whether(ca.fabs(self.readings[1]) > FASTEST)
         moved = self.behind[0] - self.fitted[1] * (1 - fast) * p.lag * self.late[1]
-        jump = JUMP + p.lag * ca.fabs(self.readings[1])  # at an impact a speed turns within the lag
+        jump = JUMP + self.fitted[1] * (1 - fast) * p.lag * ca.fabs(
+            self.readings[1]
+        )  # at an impact a speed turns within the lag
         self.outside = [whether(ca.fabs(moved) > jump), fast, *(outside(v, p) for v in self.pressures)]
         rows = zip(self.outside, self._bad, self.fitted, strict=True)
         self.faulty = [either(out, bad, 1 - known) for out, bad, known in rows]
@@ -112,7 +114,7 @@ class Axis:
         self.compensated = whether(a.section_flows[0] > 0)
         self.capacitances, speed = (a.head_capacitance, a.rod_capacitance), self.lever * self.rate[0]
         self.areas = a.head_area, a.rod_area
-        self.filled = [v > FILLED + p.zero_limit for v in self.pressures]
+        self.filled = [whether(v > FILLED + p.zero_limit) for v in self.pressures]
         self.speed = a.head_area * speed  # of the oil at the head side [m3/s]
         self.flows = (
             self.speed + a.head_capacitance * self.rate[2],
@@ -182,10 +184,6 @@ class Axis:
         gain, band = self.reference(f"gain_{way}"), self.reference(f"dead_band_{way}")
         moved = gain * command - band + sign * (self.reference("half_hysteresis") + MARGIN)
         return ca.fmin(opening(moved, v.dead_band, v.full_command, v.command_rounding), 1)
-
-    def outlet(self, k: int) -> Scalar:
-        """Opening of the return edge over that of the other one, while chamber k is filled."""
-        return self.reference(EDGES[k])
 
     def reference(self, name: str) -> Scalar:
         """Of the healthy machine."""

@@ -411,7 +411,9 @@ def _checked(component: Component, trace: Trace, source: str) -> tuple[Trace, di
         rate = f"{source}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"
         if slow > SLOWEST:
             raise Problem(f"{rate}, at least {1 / STEP / SLOWEST:.2g} Hz")
-        remarks.insert(0, f"{rate}: sensors, spools and bursts are judged over {slow:.3g} times as long")
+        remarks.insert(
+            0, f"{rate}: sensors that stand still and lags are judged over {slow:.3g} times as long"
+        )
         settings = [n for n in COUNTED if n in component.interface.variables]
         values |= {f"{component.name}.{n}": slow * float(component.value(n)) for n in settings}
     for kind, unit in (("pressure", "Pa"), ("angle", "rad")):
