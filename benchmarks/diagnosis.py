@@ -4,9 +4,9 @@
 
 Needs `harvester build --faults --fmi 2 --out build/faults`. Plants are simulated once and stored
 (`benchmarks.diagnosis_field`, which draws machines, operators, sensors and faults); each machine is learned
-from 180 s of healthy work without payload. Seeds and styles of `--reserved` were looked at once, when the
-diagnosis was done. An alarm is a repair that is told in a recording without a fault, or before it; these
-times are not counted, as they are of the same work as a healthy recording, with other noise.
+from 180 s of healthy work without payload. Seeds and styles of `--reserved` are looked at as seldom as
+possible; docs/diagnosis.md has the counts. An alarm is a repair that is told in a recording without a fault,
+or before it; these times are not counted, as they are of the same work as a healthy recording.
 
 - three clocks from the first influence of a fault on a reading (20 bar, 0.05 rad/s, 0.02 rad against the same
   work without it): safety 0.3 s; function 20 s of work, in which the lever of its function is beyond its dead
@@ -80,7 +80,8 @@ def repairs(found: Diagnosis, truth: Columns) -> dict[str, tuple[float, str]]:
     """Told repairs: since when [s], and by which finding; not that of oil which is hot."""
     first = dict[str, tuple[float, str]]()
     for f in found.findings:
-        if f.broken and not (f.repair == "cooler" and truth["oil_temperature"].max() > HOT):
+        hottest = truth["oil_temperature"][: round(f.since / PERIOD) + 2].max() if f.broken else 0.0
+        if f.broken and not (f.repair == "cooler" and hottest > HOT):
             first[f.repair] = min(first.get(f.repair, (np.inf, "")), (f.since, f.name))
     return first
 
@@ -105,6 +106,7 @@ def examined(job: tuple[int, range, int], fmu: Path, styles: Sequence[str], what
         payloads += weighed(truth, found, (kind, style, steep)) if style != QUIET else []
     early = {a.repair for a in alarms if a.style == QUIET and a.time < LATEST}
     outcomes = list[Outcome]()
+    told_before = set(early)
     for k, case in enumerate(field.cases(seed)):
         name = QUIET if case.does else str(k)
         if name not in stored or QUIET not in stored:
@@ -112,7 +114,8 @@ def examined(job: tuple[int, range, int], fmu: Path, styles: Sequence[str], what
         truth, readings = stored[name], field.sensed(stored[name], seed, case, part=1 + k)
         found = told(fmu, readings, swap, healthy)
         some = repairs(found, truth)
-        before = {r: at for r, at in some.items() if at[0] < LATEST and r not in early}
+        before = {r: at for r, at in some.items() if at[0] < LATEST and r not in told_before}
+        told_before |= before.keys()
         alarms += [Alarm(kind, seed, BEFORE, r, n, t) for r, (t, n) in before.items()]
         late = {r: t for r, (t, _) in some.items() if t >= LATEST}
         first = min(late, key=lambda r: late[r]) if late else "nothing"
@@ -263,9 +266,12 @@ def main() -> None:
     seeds, styles = (field.KEPT, field.STYLES) if given.reserved else (field.SEEDS, field.OPEN)
     groups, what = [seeds], ["work", *["faults"][given.no_faults :], *["long"][: given.long]]
     if given.hours:
-        an_hour = 3600 / (LANES * len(field.OPEN) * field.LONGER * len(given.kinds))  # groups
+        an_hour = 3600 / (
+            min(LANES, given.machines) * len(field.OPEN) * field.LONGER * len(given.kinds)
+        )  # groups
         count, what = math.ceil(given.hours * an_hour), ["further"]
-        groups = [range(seeds.stop + LANES * k, seeds.stop + LANES * (k + 1)) for k in range(count)]
+        groups = [range(seeds.stop + LANES * k, seeds.stop + LANES * (k + 1)) for k in range(count + 1)]
+        groups = [g for g in groups if g != field.KEPT][:count]
     for kind, group, name in product(given.kinds, groups, what):
         field.plants(group, kind, name)
     jobs = list(product(given.kinds, groups, range(min(LANES, given.machines))))
@@ -274,7 +280,9 @@ def main() -> None:
     outcomes = [o for one in found for o in one[2]]
     for o in outcomes if given.verbose else []:
         print(*(f"{v:.3g}" if isinstance(v, float) else v for v in o))
-    print(f"{len(jobs)} machines, {'reserved' if given.reserved else 'open'} seeds from {groups[0][0]}")
+    kept = "reserved" if given.reserved else "open"
+    done = f"{sum(bool(one[0]) for one in found)} of {len(jobs)} machines could be simulated"
+    print(f"{done}, {kept} seeds from {groups[0][0]}")
     hours = [(kind, s, h) for (kind, *_), one in zip(jobs, found, strict=True) for s, h in one[0].items()]
     print_alarms(hours, [a for one in found for a in one[1]])
     if outcomes:

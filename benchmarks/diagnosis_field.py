@@ -116,8 +116,9 @@ def cases(seed: int) -> list[Case]:
         found.append(Case(clock, f"{part}_{fault}".strip("_"), float(size), f"{part} {repair}".strip(), part))
 
     def reading(clock: str, names: Sequence[str], does: str, size: float = 0.0) -> None:
-        n = one(names)
-        size = LOST[unit(n)] if does == "lost" else float(size * rng.choice((-1, 1)))
+        n, way = one(names), 1 if does == "lost" else int(rng.choice((-1, 1)))
+        way = 1 if n == "tank_pressure" else way  # it cannot be less by so much: it ends at -1 bar
+        size = LOST[unit(n)] if does == "lost" else float(way * size)
         any_of = does == "off" and n in OF_CYLINDERS
         repair = "pressure sensors" if any_of else f"{n.replace('_', ' ')} sensor"
         part = "" if n.startswith(("supply", "tank")) else n.split("_")[0]
@@ -162,7 +163,7 @@ MANNERS = {
 }
 STYLES = tuple(MANNERS)
 OPEN = tuple(s for s in STYLES if s not in ("hurried", "one"))  # the others were kept back
-BUSY = tuple(s for s in OPEN if s != "rest")  # in which 75 s hold 20 s of work of each function
+BUSY = tuple(s for s in OPEN if s != "rest")  # 75 s hold 16 s of work or more of each function
 
 
 def work(style: str, seed: int, stop: float, loads: bool = False) -> Columns:

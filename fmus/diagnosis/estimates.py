@@ -126,7 +126,8 @@ class Fit:
         self.samples = self.sums["w"]  # in the memory
         self.turned_out = f"{self.name}_spread{'_rare' * bool(self.rare)}"
         text = f"Deviation of the right side, {self.name}"
-        self.spread = ca.fmax(self.m.state(self.turned_out, text), self.least) if self.weighed else self.least
+        self.before = self.m.state(self.turned_out, text) if self.weighed else 0
+        self.spread = ca.fmax(self.before, self.least)
 
     def adds(
         self,
@@ -178,7 +179,7 @@ class Fit:
         variance = (residual + DOUBT * self.rough**2) / (self.samples + DOUBT)
         variance = ca.fmin(ca.fmax(variance, self.least**2), self.most**2)
         if self.weighed:
-            self.m.moves(self.turned_out, (ca.sqrt(variance) - self.spread) / QUICK)
+            self.m.moves(self.turned_out, (ca.sqrt(variance) - self.before) / QUICK)
         return found, variance * inverse, variance
 
     def _most_likely(self, n: ca.SX, b: ca.SX) -> tuple[list[Scalar], ca.SX]:

@@ -419,16 +419,12 @@ def test_a_force_is_as_uncertain_as_the_slope_without_slewing(outputs):
 
 
 def test_no_pressure_is_wrong_only_if_that_is_known_of_all_cylinders(outputs):
-    """A cylinder that was not weighed may have a wrong pressure; one that is told is told."""
-    for force, samples, state in ((0.0, 1e6, 0), (0.0, 1e-6, -1), (2.0, 1e-6, 1)):
+    """A cylinder that was not weighed may have a wrong pressure; one that is told for `SURE` is told."""
+    for force, samples, time, state in ((0, 1e6, 2, 0), (0, 1e-6, 2, -1), (2, 1e-6, 2, 1), (2, 1e6, 1, -1)):
         sums = {"payload_0_0": 1e6, "payload_1_1": samples, "payload_2_2": 1e6, "payload_3_3": 1e6}
-        sums |= {
-            "payload_0_y": 1e6 * force,
-            "payload_yy": 1e6 * force**2,
-            "payload_w": 1e6,
-            "wrong_pressure": 2.0,
-        }
-        assert outputs(sums | {"payload_4_4": 1e6}, {})["weighing_state"] == state
+        sums |= {"payload_0_y": 1e6 * force, "payload_yy": 1e6 * force**2, "payload_w": 1e6}
+        sums |= {"payload_4_4": 1e6, "wrong_pressure": time}
+        assert outputs(sums, {})["weighing_state"] == state
 
 
 def test_a_payload_is_less_and_less_certain_while_nothing_is_weighed(fmu):
