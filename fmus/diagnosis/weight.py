@@ -126,7 +126,8 @@ def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfRead
 def balance(a: Axis, efforts: Efforts) -> Mapping[str, Scalar]:
     """Of one cylinder, behind the lag [N.m]; all zero if it does not count.
 
-    counts    1: it is usable
+    counts    1: it is usable now
+    usable    1: its readings are not known to be wrong
     torque    beyond that of the empty arm
     payload, masses of the arm, friction   per size
     lever     of a horizontal force at the tip [m]
@@ -163,7 +164,7 @@ def balance(a: Axis, efforts: Efforts) -> Mapping[str, Scalar]:
     force = a.lever * a.actuator.force(*a.pressures)
     torque = late("torque", force, "Torque of the cylinder") - columns["empty"]
     lever = late("late_arm", a.radial, "Lever of a horizontal force at the tip", "m")
-    return columns | {"counts": counts, "torque": torque, "lever": lever}
+    return columns | {"counts": counts, "torque": torque, "lever": lever, "usable": a.usable}
 
 
 def without_horizontal(table: Any, levers: Any, square: Scalar) -> Equations:
@@ -244,7 +245,8 @@ def weighed(
     m.moves("horizontal_square", both * (off_mean - average) / FOLLOWED)
     wrong = [(ca.fabs(FORCE * v), FORCE * d) for v, d in of_fault.sizes[:cylinders]]
     enough = whether(of_fault.samples > FEWEST)
-    states = [judged(v, d, p.weighing_limit, enough) for v, d in wrong]
+    known = [enough * b["usable"] for b in balances]
+    states = [judged(v, d, p.weighing_limit, k) for (v, d), k in zip(wrong, known, strict=True)]
     force, spread = sum(v for v, _ in wrong), ca.mmax(ca.vertcat(*(d for _, d in wrong)))
     off_force = ca.if_else(force > 0, sum(d * whether(v > 0) for v, d in wrong), spread)
     one = either(*states)

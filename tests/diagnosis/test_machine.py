@@ -423,7 +423,7 @@ def test_no_pressure_is_wrong_only_if_that_is_known_of_all_cylinders(outputs):
     for force, samples, time, state in ((0, 1e6, 2, 0), (0, 1e-6, 2, -1), (2, 1e-6, 2, 1), (2, 1e6, 1, -1)):
         sums = {"payload_0_0": 1e6, "payload_1_1": samples, "payload_2_2": 1e6, "payload_3_3": 1e6}
         sums |= {"payload_0_y": 1e6 * force, "payload_yy": 1e6 * force**2, "payload_w": 1e6}
-        sums |= {"payload_4_4": 1e6, "wrong_pressure": time}
+        sums |= {"payload_4_4": 1e6, "wrong_pressure": time, "boom_usable": 1.0, "stick_usable": 1.0}
         assert outputs(sums, {})["weighing_state"] == state
 
 
@@ -477,7 +477,10 @@ def test_a_size_is_told_beyond_its_limit(outputs, fit, sizes, below, above, para
     for size, expected in ((below, 0), (above, 1)):
         known = [size if v == "x" else v for v in sizes]
         sums = {f"{fit}_{k}_{k}": 1e6 for k in range(len(known))} | {f"{fit}_w": 1e6}
-        sums |= {f"{fit}_{k}_y": 1e6 * v for k, v in enumerate(known)} | {"boom_usable": 1.0}
+        sums |= {f"{fit}_{k}_y": 1e6 * v for k, v in enumerate(known)} | {
+            "boom_usable": 1.0,
+            "stick_usable": 1.0,
+        }
         sums |= {f"boom_strokes_{n}": 2.0 for n in ("gain_up", "half_hysteresis")} | {"wrong_pressure": 2.0}
         sums |= {f"{fit}_yy": 1e6 * sum(v * v for v in known)}
         assert outputs(sums, parameters)[f"{finding}_state"] == expected
