@@ -309,6 +309,14 @@ def test_an_arm_that_is_shaken_has_no_outliers(fmu, tmp_path):
     assert "stick_angle_sensor" not in [f.name for f in found.broken]
 
 
+def test_a_supply_that_sags_with_a_chamber_is_no_outlier(fmu, columns, tmp_path):
+    """One row of both, half as far in the chamber: a pump that is overrun."""
+    columns["supply_pressure"][120] -= 8e6
+    columns["boom_head_pressure"][120] -= 4e6
+    found = diagnose(fmu, written(tmp_path, columns))
+    assert not any("outliers" in remark for remark in found.remarks)
+
+
 @pytest.mark.parametrize(("bar", "degree"), [(0.1, 0.01), (0.5, 0.05), (1.0, 0.1)])
 def test_rounded_readings_are_no_wrong_sensors(fmu, columns, tmp_path, bar, degree):
     """A slow joint whose angle is even for some readings, and a pressure beside one that changes.

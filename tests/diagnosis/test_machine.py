@@ -319,6 +319,30 @@ def test_a_burst_is_told_when_its_volume_is_lost(fmu):
     assert (less, more < 1.0) == (np.inf, True)
 
 
+@pytest.mark.parametrize(
+    ("step", "speed", "low", "high"), [(0.1, 0.0, 1.0, 1.03), (0.1, -2.8, 1.06, 1.5), (0.17, 20.0, 1.0, 1.03)]
+)
+def test_an_angle_jumps_beyond_its_speed(fmu, step, speed, low, high):
+    """0.1 rad at rest, and any beside a broken gyro; not in an impact, after which the angle stands still.
+
+    0.06 rad and 0.03 s of the speed are allowed, 0.144 rad; without the speed each is told at 1.0 s.
+    """
+    time = np.arange(0, 3, 0.01)
+    columns = constant(boom_angle=0.3 + step * (time >= 1), boom_speed=speed * (time >= 1))
+    when = since(run(fmu, columns, stop=2, step=0.01, record="*"), "boom_angle_sensor_state")
+    assert low <= when <= high
+
+
+@pytest.mark.parametrize(("speed", "is_told"), [(-0.3, False), (0.3, True)])
+def test_a_line_that_is_emptied_at_a_constant_speed_may_keep_its_pressure(fmu, speed, is_told):
+    """Line A of the swing is at 34 bar while B goes to and fro; if A is filled its sensor stands still."""
+    time = np.arange(0, 3, 0.01)
+    signals = {"swing_pressure_a": 3.4e6, "swing_pressure_b": changing(1.0), "swing_speed": speed}
+    columns = constant(swing_angle=speed * time, **signals)
+    result = run(fmu, columns, stop=2.9, step=0.01, record="*")
+    assert np.isfinite(since(result, "swing_pressure_a_sensor_state")) == is_told
+
+
 def test_a_pressure_that_may_stand_still_tells_no_burst(fmu):
     """Line A is filled at 70 bar, and less arrives than 8 V let in, while the return edge is open: a burst.
 
