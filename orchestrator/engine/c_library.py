@@ -172,6 +172,7 @@ class Binding:
     withdraw     called before a step is repeated
     master       called with start and length of a step [s] that Python takes
     instant      called with the time [s] of an instant of events, and True if its step cannot be repeated
+    inside       called with a component and the time [s] of an event of it alone, inside of a step
     logs         of the FMUs that may change the floating-point environment, in the order of `components`
     problem      the exception that ended the last call; None if there was none
 
@@ -188,6 +189,7 @@ class Binding:
         self.withdraw: Callable[[], None] = lambda: None
         self.master: Callable[[float, float], None] = lambda _t, _h: None
         self.instant: Callable[[float, bool], None] = lambda _t, _never: None
+        self.inside: Callable[[str, float], None] = lambda _name, _t: None
         self.logs: Sequence[Log] = ()
         self._checks: dict[int, StatusCheck] = {}
         self._calls: list[Call] = []
@@ -380,6 +382,8 @@ class Binding:
         if request == self.h.INSTANT:
             return self._verdict(lambda: self.instant(t, index < 0))
         component = self.components[index]
+        if request == self.h.ALONE:
+            return self._verdict(lambda: self.inside(component.slave.name, t))
         if request == self.h.STEP:
             return self._verdict(lambda: component.slave.step(t, h))
         return self._verdict(component.save if request == self.h.SAVE else component.restore)

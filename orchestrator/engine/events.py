@@ -1,12 +1,14 @@
 """Events of the FMUs of a run: a step ends at an event, and all components go through it in one instant.
 
 FMUs have event mode between steps if they stop at their events (FMI 3.0 for Co-Simulation) or are for Model
-Exchange. In a system of several FMUs all of them have to go back to the beginning of a step, so that it can
-be repeated until it ends at its first event (`native/events.c`). Otherwise events take place inside of the
-FMUs, and act on others at the end of the step.
+Exchange. Steps end at announced events, and where all FMUs of a system can go back to the beginning of a step,
+it is repeated until it ends at its first event (`native/events.c`). Otherwise an FMU that stops inside of a
+step goes through its event alone (`RunningFmu.event_inside`), and others take part at the end of the step.
+Beside an FMU with a fixed step announced events wait for the end of the step, too.
 
 In an instant all FMUs with event mode enter it. There values are copied along all connections, and discrete
-states are updated, until nothing changes. Afterwards inputs, extrapolations and predictions begin anew.
+states are updated, until nothing changes. Afterwards inputs, extrapolations and predictions begin anew. A jump
+of a continuous input is an event (FMI 3.0.2, 4.1).
 """
 
 from __future__ import annotations
@@ -21,19 +23,20 @@ from typing import Any
 import numpy as np
 
 from orchestrator.base.errors import Ended, Problem
+from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.clocks import Clocks
 from orchestrator.engine.coupling_inputs import CouplingInputs
+from orchestrator.engine.job import Job
 from orchestrator.engine.network import Network
 from orchestrator.engine.result import Event
 from orchestrator.engine.stepped_fmu import SteppedFmu
-from orchestrator.engine.time_grid import TIME_TOLERANCE, Grid
+from orchestrator.engine.time_grid import TIME_TOLERANCE
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled, settle
+from orchestrator.fmi.instance import CLOSE, MAX_EVENT_ITERATIONS, MOST_CLOSE_EVENTS, Unsettled, chattering, settle
+from orchestrator.ssp.dependencies import divides_at_events, locates_events
 
 SHARE_OF_STEP = 1e-6  # of the step: tolerance of the time of an event, if less than TIME_TOLERANCE
-CLOSE = 1e-6  # of a step: events that are closer follow each other without progress
-MOST_CLOSE_EVENTS = 200  # in a row
 
 
 class Instants:
@@ -42,15 +45,12 @@ class Instants:
     happened   the events so far
     """
 
-    def __init__(
-        self, network: Network, inputs: CouplingInputs, times: Grid, located: bool, sink: TraceSink
-    ) -> None:
-        """located: a step is repeated until it ends at an event; else events are at the end of steps.
-
-        sink: receives each event at once, as an FMU may end the process later
-        """
+    def __init__(self, network: Network, inputs: CouplingInputs, job: Job, sink: TraceSink) -> None:
+        """sink: receives each event at once, as an FMU may end the process later."""
         self._sink, self._state = sink, network.binding.simulation.events
-        self._network, self._times = network, times
+        self._network, self._times, self._scenario = network, job.times, job.scenario
+        self._state.divides, self._late = divides_at_events(job.system), False
+        located = locates_events(job.system, job.coupling)
         self._members: dict[str, RunningFmu] = {
             name: slave
             for name, slave in network.slaves.items()
@@ -58,7 +58,7 @@ class Instants:
         }
         for slave in self._members.values():
             if isinstance(slave, SteppedFmu):
-                slave.stops = slave.interface.declares_events and located
+                slave.stops = slave.interface.declares_events
         for name, component in network.components.items():
             struct, interface = component.struct, component.slave.interface
             struct.events = name in self._members
@@ -76,7 +76,17 @@ class Instants:
         self._updates = {name: slave.update for name, slave in self._members.items()}
         self._close, self._latest = 0, deque[str](maxlen=10)
         self._clocks: Clocks | None = None
-        self._time = times.start
+        self._time = job.times.start
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A note if events waited for the end of a step, and on FMUs that ask for events after all steps."""
+        components = self._network.components
+        fixed = [name for name, c in components.items() if not c.slave.interface.variable_step]
+        late = f"{first_names(fixed)}: the FMU has a fixed step: events inside of a step act at its end"
+        restless = [name for name, c in components.items() if c.struct.restless]
+        asks = "asks for event mode after each step, however short: its events are at the end of steps"
+        return (late,) * self._late + tuple(f"{name}: {asks}" for name in restless)
 
     def fill(self) -> None:
         """Fill the structures for C."""
@@ -106,21 +116,20 @@ class Instants:
     def __call__(self, t: float, never: bool) -> None:
         """An instant at a time [s]; never: an FMU stops at other times whenever the step is repeated."""
         asked = [name for name, c in self._network.components.items() if c.struct.asked]
+        asked += self._jumping(t)
+        announced = {name: slave.next_event for name, slave in self._members.items()}
+        self._late |= not self._state.divides and self._next < t - self._state.tolerance
         if never:
             got = "expected an event at one time when a step is repeated, got different times"
             raise Problem(f"{', '.join(asked)}: after t = {t:.9g} s: {got}")
-        asked += [
-            name
-            for name, slave in self._members.items()
-            if slave.next_event <= t + self._state.tolerance and name not in asked
-        ]
+        asked += [n for n, time in announced.items() if time <= t + self._state.tolerance and n not in asked]
         changed = self._changed = dict[str, None]()
         try:
             self._instant(t)
         except Ended:
             self._append(t, [*asked, *changed])
             raise
-        for name in asked:  # an event at the beginning of a step that changes nothing is later
+        for name in announced.keys() & asked:  # an event at the beginning of a step that changes nothing is later
             struct = self._network.components[name].struct
             struct.locates = struct.locates and (bool(changed) or t > self._time)
         self._append(t, [*asked, *changed])
@@ -128,9 +137,27 @@ class Instants:
         self._close = self._close + 1 if t - self._time <= CLOSE * self._times.step else 0
         self._time = t
         if self._close >= MOST_CLOSE_EVENTS:
-            names = ", ".join(dict.fromkeys(self._latest))
-            expected = f"expected time to pass between events, got {self._close} events without progress"
-            raise Problem(f"{names}: t = {t:.9g} s: {expected} (chattering)")
+            raise chattering(", ".join(dict.fromkeys(self._latest)), t)
+
+    def inside(self, name: str, t: float) -> None:
+        """The event of one FMU at a time [s] inside of a step that is not repeated."""
+        self._members[name].event_inside(t)
+        self._state.next = self._next
+
+    @property
+    def _next(self) -> float:
+        """Time of the next announced event or tick [s]; infinite without one."""
+        times = [slave.next_event for slave in self._members.values()]
+        return min([*times, self._clocks.next if self._clocks else np.inf])
+
+    def _jumping(self, t: float) -> list[str]:
+        """The continuous inputs whose column of the scenario jumps at a time [s]."""
+        driven = self._network.driven
+        if not (driven and self._scenario and t in self._times.jumps):
+            return []
+        before, after = self._scenario.table.at(t, before=True), self._scenario.table.at(t)
+        columns = {port: self._scenario.columns[port][0] for port in driven.continuous}
+        return [str(port) for port, k in columns.items() if before[k] != after[k]]
 
     def _append(self, t: float, causes: Sequence[str]) -> None:
         self.happened.append(Event(t, tuple(dict.fromkeys(causes))))
@@ -149,7 +176,6 @@ class Instants:
             self._changed |= dict.fromkeys(map(str, due))
             self._once(t)
             if self._clocks.next > t + state.tolerance:
-                state.next = min(state.next, self._clocks.next)
                 return None
         names = ", ".join(map(str, due))
         raise Unsettled(
@@ -171,7 +197,7 @@ class Instants:
         for name, time in times.items():
             if not time > t:
                 raise Problem(f"{name}: expected the next event after t = {t:.9g} s, got {time:.9g} s")
-        self._state.next = min(times.values(), default=np.inf)
+        self._state.next = self._next
 
     def _copied(self, t: float) -> list[str]:
         """Copy values along all connections; returns the signals, not continuous, that have changed."""

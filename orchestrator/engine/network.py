@@ -72,14 +72,14 @@ class RunningComponent:
         names    the variables
         inputs   the `CouplingInput` of engine.h of each variable
         jumps    the inputs may be discontinuous at the start of a step of the FMU, so that values must be
-                 set, not only derivatives
+                 set, not only derivatives; as where it goes on after an event inside of a step
         """
         self.inputs = range(first, first + len(inputs))
         if not inputs:
             return
         pairs = zip(names, inputs, strict=True)
         self.simplified = {n for n, s in pairs if s.fmu_degree < s.requested_degree}
-        if self.struct.substeps > 1 or self.simplified or jumps:
+        if self.struct.substeps > 1 or self.simplified or jumps or getattr(self.slave, "event_mode", False):
             # degree 0: the input is only watched and held over the step; other calls set it
             with_values = [n for n, s in zip(names, inputs, strict=True) if s.requested_degree]
             self.values = np.zeros(len(with_values))
@@ -308,7 +308,8 @@ class Network:
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks on the exchange for the user."""
-        return self.order.notes + tuple(loop.note for loop in self.loops)
+        of_fmus = [note for slave in self.slaves.values() for note in getattr(slave, "notes", ())]
+        return (*self.order.notes, *(loop.note for loop in self.loops), *of_fmus)
 
     def is_influential(self, port: Port) -> bool:
         """Does a state depend on this input, directly or through other components?"""

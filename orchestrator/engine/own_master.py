@@ -21,7 +21,7 @@ from functools import partial
 
 import numpy as np
 
-from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.errors import AtEvent, Problem, suggest
 from orchestrator.base.interrupts import of_user
 from orchestrator.data.trace import SAME_TIME
 from orchestrator.engine.network import Network
@@ -80,8 +80,18 @@ class Components(dict[str, Slave]):
             raise Problem(f"{where}: expected steps of all components to t = {end:.9g} s, not of {late[0]}")
 
     def _step(self, name: str, step: Callable[[float, float], None], time: float, length: float) -> None:
-        step(time, length)
-        self._reached[name] = time + length
+        begin, end = time, time + length
+        while True:
+            try:
+                step(begin, end - begin)
+                break
+            except AtEvent as stop:
+                begin = stop.reached
+                if end - begin <= SAME_TIME * length:
+                    self._network.binding.simulation.events.due = True
+                    break
+                self._network.binding.inside(name, begin)
+        self._reached[name] = end
 
     def _refuse(self, name: str) -> None:
         raise Problem(f"{name}: close: expected to leave this to the run, which closes it at the end")

@@ -39,7 +39,13 @@ from orchestrator.engine.saved_run import check as check_saved
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.ssp.dependencies import influential_events, late_notes, locates_events, uses_events
+from orchestrator.ssp.dependencies import (
+    divides_at_events,
+    influential_events,
+    late_notes,
+    locates_events,
+    uses_events,
+)
 from orchestrator.ssp.masters import plan_with_events
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.system import Port, System
@@ -101,7 +107,7 @@ def run_job(
             events=loop.events,
             texts=tuple(network.texts.changes),
             logs=tuple(copy(s.log) for s in network.slaves.values()),
-            notes=network.notes + job.times.notes + loop.notes + loop.recorder.notes,
+            notes=network.notes + job.times.notes + loop.notes + loop.late_notes + loop.recorder.notes,
             problem=problem,
             interrupted=interrupted,
         )
@@ -159,6 +165,7 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
     library()  # raises Problem if there is none, before any FMU is opened
     _check_instances(job.system)
     events, located = uses_events(job.system, job.coupling), locates_events(job.system, job.coupling)
+    divides = divides_at_events(job.system)
     with ExitStack() as stack:
         slaves: dict[str, Slave] = {}
         binding = Binding(allocate)
@@ -167,10 +174,8 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
             for name, component in job.system.components.items():
                 face = component.interface
                 own = bool(job.coupling.method.step)
-                if face.event_mode and not (events and (located or own or face.has_clocks)):
+                if face.event_mode and not (events and (located or divides or own or face.has_clocks)):
                     component = replace(component, interface=replace(face, event_mode=False))
-                elif face.event_mode and not located:
-                    component = replace(component, interface=replace(face, early_return=False))
                 slaves[name] = slave = job.options.get("open", open_slave)(component)
                 stack.callback(slave.close)
                 binding.restore_environment(slave)
@@ -298,9 +303,9 @@ class SimulationLoop:
         self._control = step_control(job)
         self._components = [*network.components.values()]
         self._threads_undecided = not (plan.sequential or master.step) and len(self._components) > 1
-        located = locates_events(job.system, job.coupling)
-        with_events = network.with_events
-        self._instants = Instants(network, inputs, job.times, located, sink) if with_events else None
+        self._instants = None
+        if network.with_events:
+            self._instants = Instants(network, inputs, job, sink)
         self._fill(prediction)
         if estimate and not master.step:
             errors = ErrorPropagation(network, inputs, max(job.times.every, FEWEST_STEPS))
@@ -334,6 +339,11 @@ class SimulationLoop:
         found = [Event(t, (name,)) for name, times in inside.items() for t in times]
         found += self._instants.happened if self._instants else ()
         return tuple(sorted(found, key=lambda event: event.time))
+
+    @property
+    def late_notes(self) -> tuple[str, ...]:
+        """Notes on the events so far that did not act at their times."""
+        return self._instants.notes if self._instants else ()
 
     # ---- the run
 
@@ -430,7 +440,7 @@ class SimulationLoop:
         self.energy.fill(binding)
         if self._instants:
             self._instants.fill()
-            binding.instant = self._instants
+            binding.instant, binding.inside = self._instants, self._instants.inside
         binding.withdraw = self._withdraw_messages
 
     def _fill_times(self, times: Grid) -> None:

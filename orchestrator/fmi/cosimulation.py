@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.base.errors import Discarded, Ended, Problem
+from orchestrator.base.errors import AtEvent, Discarded, Ended, Problem
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import (
     Access,
@@ -27,7 +27,16 @@ from orchestrator.fmi.calls import (
     to_ctypes,
 )
 from orchestrator.fmi.description import FmuVariable, Value
-from orchestrator.fmi.instance import AfterCall, CallFailed, FmuInstance, resources_location, settle
+from orchestrator.fmi.instance import (
+    CLOSE,
+    MOST_CLOSE_EVENTS,
+    AfterCall,
+    CallFailed,
+    FmuInstance,
+    chattering,
+    resources_location,
+    settle,
+)
 from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
@@ -46,11 +55,14 @@ class RunningFmu:
     event_mode   it has event mode between steps: variables that are not continuous are set there
     in_events    it is in event mode
     next_event   time of its next time event, as far as it has event mode between steps [s]
+    notes        on its instantiation
     first_ticks   of clocks that declare no interval: interval, and time from the start to the first tick [s]
     """
 
     event_mode = in_events = _asks = False
     next_event = float("inf")
+    notes: tuple[str, ...] = ()
+    _inside, _close = float("nan"), 0  # the last event inside of a step, and how many close to each other
 
     def __init__(self, name: str, interface: FmuInterface, fmu: Location, after: AfterCall = None) -> None:
         """`after`: see `FmuInstance`."""
@@ -73,16 +85,19 @@ class RunningFmu:
         self._cleanup.callback(self._unless_fatal, library.close)
         self._cleanup.callback(self.fmu.free)
         resources = resources_location(folder, face.model.major)
-        made = partial(
-            self.fmu.instantiate,
-            face.model.token,
-            resources,
-            events=face.event_mode,
-            early=face.event_mode and face.early_return,
-        )
-        if not any(made(verbose=verbose) for verbose in (False, True)):
-            # the FMU has logged the reason in the second attempt, with debug logging
+        made = partial(self.fmu.instantiate, face.model.token, resources)
+        modes = [face.event_mode] if face.has_clocks else [face.event_mode, False]
+        attempts = ((mode, verbose) for mode in dict.fromkeys(modes) for verbose in (False, True))
+        for mode, verbose in attempts:  # an FMU logs the reason in the second attempt, with debug logging
+            if made(verbose=verbose, events=mode, early=mode and face.early_return):
+                break
+        else:
             raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.quoted_messages()}")
+        if mode != face.event_mode:
+            self.event_mode, self.interface = False, replace(face, event_mode=False)
+            refused = "declares event mode and refuses to be instantiated with it: its events are inside of steps"
+            self.notes = (f"{self.name}: the FMU {refused}{self.log.quoted_messages(1)}",)
+            self.log.messages.clear()
         categories = [c.encode() for c in LOG_CATEGORIES if c in face.model.categories]
         if categories:
             count, array = len(categories), (ctypes.c_char_p * len(categories))(*categories)
@@ -460,6 +475,16 @@ class RunningFmu:
         if ended:
             raise self.ended_at(self.log.time)
 
+    def event_inside(self, t: float) -> None:
+        """An event of this FMU alone at a time [s] inside of a step, which others cannot repeat."""
+        begin, end = self.log.clock[1:]
+        self._close = self._close + 1 if abs(t - self._inside) <= CLOSE * (end - begin) else 0
+        self._inside = t
+        if self._close >= MOST_CLOSE_EVENTS:
+            raise chattering(self.name, t)
+        self.log.time = t
+        self.event_alone(lambda: None)
+
     def ended_at(self, t: float, note: str = "") -> Ended:
         """The exception for a request of the FMU to end the simulation at a time [s]."""
         text = f"is the last one: the FMU requests the end of the simulation at t = {t:.9g} s{note}"
@@ -601,7 +626,7 @@ class CoSimulationFmu(RunningFmu):
     # ---- steps
 
     def step(self, t: float, h: float) -> None:
-        """Advance from t to t + h [s]; raises Discarded or Ended with the time that the FMU has reached."""
+        """Advance from t to t + h [s]; raises Discarded, Ended or AtEvent with the time that the FMU reached."""
         status = self.fmu.step(t, h, self._final)
         if status or self.fmu.flags.value:
             self._check_step(status)
@@ -630,7 +655,10 @@ class CoSimulationFmu(RunningFmu):
         if status:
             self.fmu.check_status(status, "the step")
         if end.early:
-            lacks_time = np.isnan(end.reached) and self.event_mode and self.interface.early_return
+            stops = self.event_mode and self.interface.early_return
+            lacks_time = stops and np.isnan(end.reached)
+            if stops and not lacks_time:
+                raise AtEvent(end.reached)
             forbidden = ", expected its time" if lacks_time else ", which was not allowed"
             text = f"ended early at {at}{'' if outside else forbidden}"
             raise Problem(self.log.error_message("the step", text))

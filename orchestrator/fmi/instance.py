@@ -48,6 +48,8 @@ LAST_TIME, TERMINATED = 2, 3  # fmi2StatusKind
 STEP = function_number("DoStep")
 EVENT_FLAGS = ("needed", "terminate", "nominals", "values", "defined")
 MAX_EVENT_ITERATIONS = 100  # at one event
+CLOSE = 1e-6  # of a step: events that are closer follow each other without progress
+MOST_CLOSE_EVENTS = 200  # in a row
 GUARD_BYTES = 64  # after the buffer of a serialised state, to detect a write beyond its end
 CallHook = Callable[[str, float], None]
 AfterCall = Callable[["FmuInstance"], None] | None
@@ -453,6 +455,12 @@ class FmuInstance:
             [0] if self.fmi == 2 else [getattr(EventFlags, name).offset for name in (*EVENT_FLAGS, "next")]
         )
         return self.bound("UpdateDiscreteStates", *(ctypes.byref(info, place) for place in places)), info
+
+
+def chattering(names: str, t: float) -> Problem:
+    """For events at a time [s] that follow each other without progress."""
+    expected = f"expected time to pass between events, got {MOST_CLOSE_EVENTS} events without progress"
+    return Problem(f"{names}: t = {t:.9g} s: {expected} (chattering)")
 
 
 EventUpdate = Callable[[], tuple[bool, bool, float]]

@@ -119,11 +119,17 @@ def influential_inputs(system: System) -> frozenset[Port]:
 def uses_events(system: System, coupling: "Coupling") -> bool:
     """Do FMUs stop at their events, and go through them together?
 
-    A single FMU does. Several need to go back to the beginning of a step, so that it is repeated until it
-    ends at its first event. Otherwise events take place inside of the FMUs.
+    A single FMU does, and several whose steps may end at announced events. Otherwise events take place inside
+    of the FMUs.
     """
     clocks = any(c.interface.has_clocks for c in system.components.values())
-    return clocks or (_would_use_events(system) and (bool(coupling.method.step) or not _fixed(system)))
+    own = bool(coupling.method.step)
+    return clocks or (_would_use_events(system) and (own or divides_at_events(system) or not _fixed(system)))
+
+
+def divides_at_events(system: System) -> bool:
+    """May steps end at announced events and ticks? Not beside an FMU with a fixed step."""
+    return all(component.interface.variable_step for component in system.components.values())
 
 
 def locates_events(system: System, coupling: "Coupling") -> bool:
@@ -135,7 +141,7 @@ def _would_use_events(system: System) -> bool:
     """Would FMUs stop at their events, if the steps of all could be repeated?"""
     declare = _declaring(system)
     if len(system.components) == 1:
-        return any(system.components[name].interface.event_mode for name in declare)
+        return bool(declare)
     wires = _influential_wires(system) if declare else ()
     into_event_mode = (c for c in wires if c.target.component in declare and not system.is_continuous(c))
     return any(c.source.component in declare for c in wires) or any(into_event_mode)
@@ -191,12 +197,14 @@ def late_effects(system: System, coupling: "Coupling") -> str:
     """
     wires = _influential_wires(system)
     having = {name for name, component in system.components.items() if component.interface.has_events}
-    if uses_events(system, coupling) and locates_events(system, coupling):
-        declare = _declaring(system)
+    declare = _declaring(system) if uses_events(system, coupling) else set[str]()
+    if locates_events(system, coupling):
         wires = [c for c in wires if c.source.component not in declare]
-    held = [c for c in wires if not system.is_continuous(c)]
-    events = (c.source.component for c in wires if c not in held and c.source.component in having)
-    return first_names([*(f"events of {name}" for name in events), *(str(c.source) for c in held)])
+    announced = declare if divides_at_events(system) else set[str]()
+    held = [c for c in wires if not system.is_continuous(c) and c.source.component not in announced]
+    events = [c.source.component for c in wires if c not in held and c.source.component in having]
+    kinds = (f"events {'not announced by' if name in announced else 'of'} {name}" for name in events)
+    return first_names([*kinds, *(str(c.source) for c in held)])
 
 
 @of_structure

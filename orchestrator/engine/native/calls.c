@@ -224,7 +224,7 @@ int component_step(Simulation *sim, int k, Real begin, Real length) {
         const int verdict = python_call(sim, STEP, k, t, length);
         return verdict == AT_EVENT ? event_reached(sim, p, sim->reached, 1) : verdict;
     }
-    int status;
+    int status, verdict = CONTINUE;
     *p->call = STEP;
     if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->instance, t, length, p->never_restored);
     else
@@ -232,14 +232,14 @@ int component_step(Simulation *sim, int k, Real begin, Real length) {
                                        p->early, p->last);
     *p->call = 0;
     if (!rounds_to_nearest()) environment_restore(sim, NULL, k);
-    if (p->events && !status && p->flags && *p->flags) {
+    if (p->events && status < DISCARD && p->flags && *p->flags) {
         const uint8_t *event = p->event, *terminate = p->terminate, *early = p->early;
         const double reached = *early ? *(const double *)p->last : t + length;
         const int inside = t - length < reached && reached < t + 2.0 * length; /* else Python tells what is wrong */
         if ((*event || *early) && !*terminate && inside) return event_reached(sim, p, reached, *early);
     }
-    if (status || (p->flags && *p->flags)) return sim->check_status(0, k, status);
-    return CONTINUE;
+    if (status || (p->flags && *p->flags)) verdict = sim->check_status(0, k, status);
+    return verdict == AT_EVENT ? event_reached(sim, p, sim->reached, 1) : verdict;
 }
 
 int component_save(Simulation *sim, int k) {

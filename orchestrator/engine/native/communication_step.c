@@ -84,6 +84,23 @@ static int read_middle(Simulation *sim, int k, Real h) {
     return verdict;
 }
 
+/* Set the inputs of a component, and step it. Where steps are not repeated for events, it goes through those inside of the
+ * step alone, and on from there. */
+static int set_and_step(Simulation *sim, int k, Real begin, Real length, int last) {
+    int verdict = component_set_inputs(sim, &sim->components[k], begin, length, last);
+    if (!verdict) verdict = component_step(sim, k, begin, length);
+#if WIDTH == 1
+    while (verdict == AT_EVENT && !sim->events.located) {
+        const double end = begin + length;
+        verdict = python_call(sim, ALONE, k, sim->reached, 0.0);
+        begin = sim->reached - sim->t, length = end - begin;
+        if (!verdict) verdict = component_set_inputs(sim, &sim->components[k], begin, length, last);
+        if (!verdict) verdict = component_step(sim, k, begin, length);
+    }
+#endif
+    return verdict;
+}
+
 /* Take a component over the communication step, in its own steps; `counter` is that of ticks before, and after. */
 int component_advance(Simulation *sim, int k, Real h, double *counter) {
     Component *p = &sim->components[k];
@@ -91,8 +108,7 @@ int component_advance(Simulation *sim, int k, Real h, double *counter) {
     const Real length = h / (double)n;
     for (int32_t j = 0; j < n; j++) {
         const Real begin = h * (double)j / (double)n;
-        int verdict = component_set_inputs(sim, p, begin, length, j == n - 1);
-        if (!verdict) verdict = component_step(sim, k, begin, length);
+        int verdict = set_and_step(sim, k, begin, length, j == n - 1);
         if (!verdict && p->halved && j == 0) verdict = read_middle(sim, k, h);
         if (verdict) return verdict;
     }

@@ -54,8 +54,8 @@ enum { SET_TIME, VECTOR, COMPLETED_STEP };                        /* kinds of ca
 enum { DRIVEN = -1, LINE = 1, DEGREE = 3, POLYNOMIAL = 6 }; /* POLYNOMIAL: Reals of a coupling input from c on */
 enum { CONTINUE, STOP, DISCARDED, ABORT, AT_EVENT };       /* verdicts; ABORT: the cause is not an FMU; AT_EVENT: an FMU
                                     has stopped at an event inside the step */
-enum { CALL, STEP, SAVE, RESTORE, MASTER, INSTANT };               /* requests to Python; also numbers of FMI functions */
-enum { OUT_OF_RANGE = -1, WITHDRAWN = -3, CHANGED = -5 };  /* further statuses: an integer that the other type cannot
+enum { CALL, STEP, SAVE, RESTORE, MASTER, INSTANT, ALONE };        /* requests to Python; also numbers of FMI functions */
+enum { DISCARD = 2, OUT_OF_RANGE = -1, WITHDRAWN = -3, CHANGED = -5 };  /* fmi2Discard, fmi3Discard; further statuses: an integer that the other type cannot
                                     hold; a step that is repeated, so that its messages do not count; an FMU has changed
                                     the floating-point environment, which was restored */
 enum { SOLVED = 0, SINGULAR = -1, NOT_CONVERGED = -2, NEEDS_INVERSE = -4 }; /* outcomes for an algebraic loop */
@@ -269,6 +269,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     int32_t events;                     /* it stops at its events, or asks for event mode at the end of a step */
     int32_t locates;                    /* if it stops early, it does at the time of the event; else not before that */
     int32_t asked;                      /* it has stopped in this try */
+    int32_t restless;                   /* it asks for event mode after each step, however short; -1: it did */
     Real *values, *derivatives;
     Program input_writes; /* set values and derivatives of its coupling inputs */
     Program output_reads; /* read the outputs that other components use */
@@ -350,7 +351,7 @@ typedef struct Plant {
 } Plant;
 
 /* Events of FMUs, see events.c. low, high: the longest step so far that met none, and the shortest one that met one; 0:
- * none [s] */
+ * none [s]. latest, period: time of the last event that was only asked for, and since the one before [s] */
 typedef struct Events {
     const int64_t *real_targets, *integer_targets; /* connected or driven inputs that are not continuous, and influence a state */
     double *reals;                                 /* their values at the last instant */
@@ -360,12 +361,18 @@ typedef struct Events {
     int32_t used;     /* FMUs are in event mode at instants, through Python */
     int32_t present;  /* used, or there are such inputs; else no step looks for events */
     int32_t located;  /* all components can go back, so that a step is repeated to its first event */
+    int32_t divides;  /* steps end at announced events and ticks */
     int32_t due;      /* there is an instant at the end of the step */
+    int32_t by_asking; /* of an FMU that has asked for it, without a time */
+    int32_t restless; /* an FMU has been found to be restless: the step is repeated */
+    int32_t at_end;   /* also where the step is accepted for other reasons only: of a restless FMU */
     int32_t ends;     /* an FMU has requested the end of the run in an instant */
     int32_t tries;    /* of the present step */
     double next;      /* the next time event that an FMU has announced [s] */
     double tolerance; /* of the time of an event [s] */
     double low, high, margin, before; /* before: time after which an FMU stopped in the last try [s] */
+    double instant, latest, period;   /* instant: time of the last one [s] */
+    double near, until; /* length of a last part of a step, and its end: an event is asked for there only [s] */
 } Events;
 
 typedef struct Pool Pool;
@@ -547,6 +554,7 @@ void event_try(Simulation *);
 int event_reached(Simulation *, Component *, double reached, int early);
 int event_approached(Simulation *, double h, int *goes_back);
 int event_missed(Simulation *, double h);
+double event_expected(Simulation *, double t, double to);
 int event_due(const Simulation *);
 EXPORT int32_t event_exchange(Simulation *, double t);
 int event_instant(Simulation *);

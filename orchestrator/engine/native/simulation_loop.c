@@ -243,7 +243,8 @@ static Real next_length(Simulation *sim, Real *target, Real *rest) {
         double to = *next < sim->divided_count ? smaller(point, sim->divided[*next]) : point;
 #if WIDTH == 1
         const double event = sim->events.next; /* one that is nearly at the point takes place there */
-        if (sim->events.used && event > t && event < to - sim->events.tolerance) to = event;
+        if (sim->events.divides && event > t && event < to - sim->events.tolerance) to = event;
+        if (sim->events.period > 0.0) to = event_expected(sim, t, to);
 #endif
         const double left = t == last && to == point ? sim->step : to - t;
         set_machine(target, i, count, to);
@@ -320,7 +321,8 @@ static int next_step(Simulation *sim) {
     const Mask jumps = sim->scenario && !sim->scenario->commands ? scenario_jumps(sim->scenario, sim->t, done) : NO_MACHINE;
     verdict = any(jumps) ? jump(sim, jumps) : CONTINUE;
 #if WIDTH == 1
-    if (!verdict && sim->events.present && event_due(sim)) verdict = go_through_events(sim);
+    const int jumped = any(jumps) && sim->events.used;
+    if (!verdict && sim->events.present && (jumped || event_due(sim))) verdict = go_through_events(sim);
     if (sim->events.ends) record_end(sim); /* all FMUs are at the event in which the run ends */
 #endif
     if (verdict) return verdict;
@@ -344,6 +346,7 @@ int32_t simulation_begin(Simulation *sim) {
 #if WIDTH == 1
     sim->events.present = sim->events.used || sim->events.real_count || sim->events.integer_count;
     event_values(sim);
+    sim->events.instant = sim->t;
 #endif
     record(sim);
     return sim->errors ? error_begin(sim) : CONTINUE;
@@ -354,7 +357,7 @@ int32_t simulation_begin(Simulation *sim) {
 int32_t simulation_resume(Simulation *sim) {
     if (!scenario_differs(sim)) return CONTINUE;
     const int verdict = jump(sim, EVERY_MACHINE);
-    return !verdict && event_due(sim) ? go_through_events(sim) : verdict;
+    return !verdict && (sim->events.used || event_due(sim)) ? go_through_events(sim) : verdict;
 }
 
 /* Does Python have to collect estimated errors before the next step, which may add two rows of them? */
