@@ -203,8 +203,9 @@ def late_effects(system: System, coupling: "Coupling") -> str:
     announced = declare if divides_at_events(system) else set[str]()
     held = [c for c in wires if not system.is_continuous(c) and c.source.component not in announced]
     events = [c.source.component for c in wires if c not in held and c.source.component in having]
-    kinds = (f"events {'not announced by' if name in announced else 'of'} {name}" for name in events)
-    return first_names([*kinds, *(str(c.source) for c in held)])
+    silent = [f"events not announced by {first_names(n for n in events if n in announced)}"]
+    others = [f"events of {name}" for name in events if name not in announced]
+    return first_names([*silent * bool(announced.intersection(events)), *others, *(str(c.source) for c in held)])
 
 
 @of_structure
