@@ -15,6 +15,7 @@
  * after t = 0.55; 7 requests the end at its first event. After t = 0.5 it stops early 8 at NaN, 9 before its step, 10 after it;
  * 11 the next event is at NaN; from 100 on, the seed: at random one of
  * these, 13 an event anywhere in its step, 14 at its end, an update, or nothing;
+ * 18 asks at the end of a step for an event that it does not announce, as the end is within 1e-9 s of it or later; 19 asks after each step;
  * 15 the third event is the end; 16 a further event at the time of the second one is, 17 the one of the start.
  */
 #include <math.h>
@@ -140,7 +141,7 @@ static double stops(const Instance *m, double t, double h) {
         double g = m->r[FALL], v = m->r[V_], fall = (v + sqrt(v * v + 2.0 * g * m->r[H])) / g;
         return t + fall;
     }
-    if (NAMED(m, TICKER)) return following(m) <= t + h ? fmax(following(m), t) : INFINITY;
+    if (NAMED(m, TICKER)) return following(m) <= t + h + 1e-9 * (m->i[HOW] == 18) ? fmax(following(m), t) : INFINITY;
     return INFINITY;
 }
 
@@ -157,13 +158,13 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
                       fmi3Boolean *early, fmi3Float64 *reached) {
     Instance *m = c;
     double when = stops(m, t, h);
-    int inside = when < t + h, stop = inside && m->i[HOW] != 1 && m->early && m->used;
+    int inside = when < t + h, stop = inside && m->i[HOW] != 1 && m->i[HOW] < 18 && m->early && m->used;
     *event = *end = *early = fmi3False, *reached = t, (void)p;
     if (m->mode != 1 || (m->i[HOW] == 6 && t + h > 0.55)) return m->mode != 1 ? fmi3Error : fmi3Discard;
     if (m->i[HOW] == 16 && m->i[COUNT] == 2 && m->early) return *event = *early = fmi3True, m->time = t, m->ends = 1, fmi3OK;
     if (stop && m->i[HOW] == 2) when = t;
     move(m, t, stop ? when - t : h);
-    *event = m->used && when <= t + h, *early = stop, *reached = m->time;
+    *event = m->used && (when <= t + h + 1e-9 * (m->i[HOW] == 18) || m->i[HOW] == 19), *early = stop, *reached = m->time;
     *end = *event && m->i[HOW] == 7;
     const int wrong = misuse(m);
     if (wrong >= 8 && wrong <= 10) *event = *early = fmi3True, *reached = wrong == 8 ? NAN : wrong == 9 ? t - 1.0 : t + 3.0 * h;
@@ -185,7 +186,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *a, fmi3Boolean 
     *n = *v = fmi3False, *t = (m->i[HOW] == 15 && m->i[COUNT] == 3) || m->ends || (m->i[HOW] == 17 && m->time == 0.0);
     if (*t && m->i[HOW] > 15) m->r[LEVEL] = 99.0;
     const int wrong = misuse(m);
-    *d = NAMED(m, TICKER) || wrong == 4 || wrong == 11;
+    *d = (NAMED(m, TICKER) && m->i[HOW] < 18) || wrong == 4 || wrong == 11;
     *e = wrong == 4 ? m->time - 0.1 : wrong == 11 ? NAN : following(m);
     return m->mode == 2 ? fmi3OK : fmi3Error;
 }

@@ -3,6 +3,7 @@
 import csv
 import re
 from math import log, sqrt
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit.any_fmu.models import Workshop
 from kit.mistakes import problem
+from kit.properties import examples
 
 from orchestrator import Coupling, Master, Problem, RunFailed, assemble, reference, run
 
@@ -327,6 +329,55 @@ def test_a_signal_that_is_nan_is_no_event(stopping):
     system = assemble(fmus, [("a.level", "s.u", float("nan"))], {"a.period": 0.5})
     events = run(system, stop=1.1, step=0.1, record=["a.count"]).events
     np.testing.assert_allclose([event.time for event in events], [0.5, 1.0], atol=1e-9)
+
+
+ANNOUNCES, TELLS, ASKS, RESTLESS = 0, 1, 18, 19  # `how` of stopping.c
+tickers = st.tuples(
+    st.integers(6, 30).map(lambda k: k / 21.0), st.sampled_from([ANNOUNCES, TELLS, ASKS, RESTLESS]), st.booleans()
+)
+
+
+def acts(ticker, step, announced, located, divides):
+    """The times at which the changes of a ticker act on others."""
+    period, how, _ = ticker
+    at = np.arange(1, int(STOP / period + 1e-9) + 1) * period
+    if (divides and how in (ANNOUNCES, TELLS)) or (located and how == ASKS):
+        return at
+    ends = np.sort(np.append(np.arange(0.0, STOP + step, step), announced))
+    return ends[np.searchsorted(ends, at - 1e-9)]
+
+
+@examples(20)
+@given(
+    every=st.lists(tickers, min_size=1, max_size=3),
+    step=st.sampled_from([0.02, 0.05, 0.1]),
+    able=st.tuples(st.booleans(), st.booleans(), st.booleans()),
+    name=st.sampled_from([*filter(lambda name: "adaptive" not in name, MASTERS), "own"]),
+)
+def test_announced_and_asked_events_beside_fixed_steps(stopping, every, step, able, name):
+    """Levels that count, in integrators with or without event mode, saved state, variable step.
+
+    Announced events are ends of steps unless an FMU has a fixed step, those that are asked for if all can go back.
+    """
+    saves, varies, event_mode = ("true" if can else "false" for can in able)
+    sums = stopping("sum", canGetAndSetFMUState=saves, canHandleVariableCommunicationStepSize=varies, hasEventMode=event_mode)
+    fmus, wires, given_, divides = dict[str, Path](), list[str](), dict[str, float](), able[1]
+    # without event mode an FMU decides if an event at a point is before or after it, or after that of another one
+    every = [(period + 1.23e-3 * (k + (not divides)), *others) for k, (period, *others) in enumerate(every)]
+    for k, (period, how, can) in enumerate(every):
+        fmus |= {f"t{k}": stopping("ticker", canGetAndSetFMUState="true" if can else "false"), f"s{k}": sums}
+        wires.append(f"t{k}.level -> s{k}.u")
+        given_ |= {f"t{k}.period": period, f"t{k}.how": how}
+    located = divides and able[0] and all(can for *_, can in every) and name != "own"
+    master = Master("own", step=in_turn) if name == "own" else MASTERS[name]
+    result = run(assemble(fmus, wires, given_), stop=STOP, step=step, master=master, isolate=False)
+    times = [acts(ticker, step, [], located, divides) for ticker in every]
+    exact = [t for t, (_, how, _) in zip(times, every, strict=True) if how < ASKS or (located and how == ASKS)]
+    for k, ticker in enumerate(every):
+        at = acts(ticker, step, np.concatenate(exact) if exact and divides else [], located, divides)
+        area = np.maximum(np.subtract.outer(result.time, at), 0.0).sum(1)
+        # an event that is asked for may be 1e-5 of a step from its end
+        np.testing.assert_allclose(result[f"s{k}.s"], area, atol=3e-5 * step, err_msg=f"{k}: {ticker}")
 
 
 # ---- what is claimed
