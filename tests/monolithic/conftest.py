@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from kit.any_fmu.description import Description, V, member, packed, tables
+from kit.any_fmu.models import stopping_fmu
 from kit.compile import library
 
 SOURCE = Path(__file__).with_name("hybrid.c")
@@ -36,12 +37,6 @@ def fmu(once):
     return made
 
 
-STOPPING = SOURCE.with_name("stopping.c")
-ABLE = dict.fromkeys(
-    ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "hasEventMode"), "true"
-) | {"mightReturnEarlyFromDoStep": "true"}
-
-
 @pytest.fixture(scope="session")
 def stopping(tmp_path_factory):
     """stopping("relay"): a model that stops at its events; without: variables that it does not declare.
@@ -53,12 +48,8 @@ def stopping(tmp_path_factory):
     def make(model: str, without=(), undeclared=False, **able: str) -> Path:
         key = model, tuple(without), undeclared, tuple(sorted(able.items()))
         if key not in made:
-            variables = [v for v in tables(str(STOPPING))[model] if v.name not in without]
-            kinds = {"CoSimulation": ABLE | able}
-            text = Description(model, variables, kinds, undeclared=undeclared).text(3)
-            binary = library("stopping", [STOPPING], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
-            members = {"modelDescription.xml": text, member(3, model): binary}
-            made[key] = packed(tmp_path_factory.mktemp("stopping") / f"{model}.fmu", members)
+            file = tmp_path_factory.mktemp("stopping") / f"{model}.fmu"
+            made[key] = stopping_fmu(file, model, without, undeclared, **able)
         return made[key]
 
     return make

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -179,6 +179,25 @@ def bank_fmu(file: Path, changes: Mapping[str, str] | None = None) -> Path:
 def ticking_fmu(file: Path, interval: str, **changes: str) -> Path:
     """The FMU of ticks.c, whose variables belong to clocks; interval: attributes of its clock `tick`."""
     return _of_source(file, "ticks.c", "unit", {"INTERVAL": interval, **changes})
+
+
+ABLE = dict.fromkeys(
+    ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "hasEventMode"), "true"
+) | {"mightReturnEarlyFromDoStep": "true"}
+
+
+def stopping_fmu(
+    file: Path, model: str, without: Collection[str] = (), undeclared: bool = False, **able: str
+) -> Path:
+    """A model of stopping.c, which stops at its events; without: variables that it does not declare.
+
+    undeclared: it does not declare either what its outputs depend on
+    """
+    source = Path(__file__).with_name("stopping.c")
+    variables = [v for v in tables(str(source))[model] if v.name not in without]
+    text = Description(model, variables, {"CoSimulation": ABLE | able}, undeclared=undeclared).text(3)
+    binary = library("stopping", [source], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
+    return packed(file, {"modelDescription.xml": text, member(3, model): binary})
 
 
 def _of_source(file: Path, code: str, name: str, changes: Mapping[str, str]) -> Path:
