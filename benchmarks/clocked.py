@@ -80,7 +80,9 @@ def main() -> None:
             print(f"{name:<10} {per_ms} {spent} {card.steps:6} steps {card.repeated:6} repeated")
         factor, ratio = cards["clock"].real_time_factor, used["asks"] / used["announces"]
         print(f"bar: {LIMIT:g} times, {'met' if factor >= LIMIT else 'MISSED'}")
-        print(f"bar: {RATIO:g} times one that announces, {ratio:.2f}, {'met' if ratio <= RATIO else 'MISSED'}")
+        print(
+            f"bar: {RATIO:g} times one that announces, {ratio:.2f}, {'met' if ratio <= RATIO else 'MISSED'}"
+        )
 
 
 if __name__ == "__main__":

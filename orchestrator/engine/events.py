@@ -33,7 +33,14 @@ from orchestrator.engine.result import Event
 from orchestrator.engine.stepped_fmu import SteppedFmu
 from orchestrator.engine.time_grid import TIME_TOLERANCE
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.fmi.instance import CLOSE, MAX_EVENT_ITERATIONS, MOST_CLOSE_EVENTS, Unsettled, chattering, settle
+from orchestrator.fmi.instance import (
+    CLOSE,
+    MAX_EVENT_ITERATIONS,
+    MOST_CLOSE_EVENTS,
+    Unsettled,
+    chattering,
+    settle,
+)
 from orchestrator.ssp.dependencies import divides_at_events, locates_events
 
 SHARE_OF_STEP = 1e-6  # of the step: tolerance of the time of an event, if less than TIME_TOLERANCE
@@ -129,7 +136,9 @@ class Instants:
         except Ended:
             self._append(t, [*asked, *changed])
             raise
-        for name in announced.keys() & asked:  # an event at the beginning of a step that changes nothing is later
+        for name in (
+            announced.keys() & asked
+        ):  # an event at the beginning of a step that changes nothing is later
             struct = self._network.components[name].struct
             struct.locates = struct.locates and (bool(changed) or t > self._time)
         self._append(t, [*asked, *changed])

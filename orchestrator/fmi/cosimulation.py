@@ -95,7 +95,9 @@ class RunningFmu:
             raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.quoted_messages()}")
         if mode != face.event_mode:
             self.event_mode, self.interface = False, replace(face, event_mode=False)
-            refused = "declares event mode and refuses to be instantiated with it: its events are inside of steps"
+            refused = (
+                "declares event mode and refuses to be instantiated with it: its events are inside of steps"
+            )
             self.notes = (f"{self.name}: the FMU {refused}{self.log.quoted_messages(1)}",)
             self.log.messages.clear()
         categories = [c.encode() for c in LOG_CATEGORIES if c in face.model.categories]

@@ -205,7 +205,9 @@ def late_effects(system: System, coupling: "Coupling") -> str:
     events = [c.source.component for c in wires if c not in held and c.source.component in having]
     silent = [f"events not announced by {first_names(n for n in events if n in announced)}"]
     others = [f"events of {name}" for name in events if name not in announced]
-    return first_names([*silent * bool(announced.intersection(events)), *others, *(str(c.source) for c in held)])
+    return first_names(
+        [*silent * bool(announced.intersection(events)), *others, *(str(c.source) for c in held)]
+    )
 
 
 @of_structure

@@ -2,6 +2,8 @@
 
 import csv
 import re
+import zipfile
+from dataclasses import replace
 from math import log, sqrt
 from pathlib import Path
 
@@ -9,11 +11,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.any_fmu.description import Description
 from kit.any_fmu.models import Workshop
 from kit.mistakes import problem
 from kit.properties import examples
 
 from orchestrator import Coupling, Master, Problem, RunFailed, assemble, reference, run
+
+from .conftest import MODELS, TIME
 
 MASTERS = {
     "jacobi": Coupling("jacobi"),
@@ -333,7 +338,9 @@ def test_a_signal_that_is_nan_is_no_event(stopping):
 
 ANNOUNCES, TELLS, ASKS, RESTLESS = 0, 1, 18, 19  # `how` of stopping.c
 tickers = st.tuples(
-    st.integers(6, 30).map(lambda k: k / 21.0), st.sampled_from([ANNOUNCES, TELLS, ASKS, RESTLESS]), st.booleans()
+    st.integers(6, 30).map(lambda k: k / 21.0),
+    st.sampled_from([ANNOUNCES, TELLS, ASKS, RESTLESS]),
+    st.booleans(),
 )
 
 
@@ -360,7 +367,12 @@ def test_announced_and_asked_events_beside_fixed_steps(stopping, every, step, ab
     Announced events are ends of steps unless an FMU has a fixed step, those that are asked for if all can go back.
     """
     saves, varies, event_mode = ("true" if can else "false" for can in able)
-    sums = stopping("sum", canGetAndSetFMUState=saves, canHandleVariableCommunicationStepSize=varies, hasEventMode=event_mode)
+    sums = stopping(
+        "sum",
+        canGetAndSetFMUState=saves,
+        canHandleVariableCommunicationStepSize=varies,
+        hasEventMode=event_mode,
+    )
     fmus, wires, given_, divides = dict[str, Path](), list[str](), dict[str, float](), able[1]
     # without event mode an FMU decides if an event at a point is before or after it, or after that of another one
     every = [(period + 1.23e-3 * (k + (not divides)), *others) for k, (period, *others) in enumerate(every)]
@@ -372,12 +384,84 @@ def test_announced_and_asked_events_beside_fixed_steps(stopping, every, step, ab
     master = Master("own", step=in_turn) if name == "own" else MASTERS[name]
     result = run(assemble(fmus, wires, given_), stop=STOP, step=step, master=master, isolate=False)
     times = [acts(ticker, step, [], located, divides) for ticker in every]
-    exact = [t for t, (_, how, _) in zip(times, every, strict=True) if how < ASKS or (located and how == ASKS)]
+    exact = [
+        t for t, (_, how, _) in zip(times, every, strict=True) if how < ASKS or (located and how == ASKS)
+    ]
     for k, ticker in enumerate(every):
         at = acts(ticker, step, np.concatenate(exact) if exact and divides else [], located, divides)
         area = np.maximum(np.subtract.outer(result.time, at), 0.0).sum(1)
         # an event that is asked for may be 1e-5 of a step from its end
         np.testing.assert_allclose(result[f"s{k}.s"], area, atol=3e-5 * step, err_msg=f"{k}: {ticker}")
+
+
+def test_events_at_the_ends_of_steps_cost_two_steps(stopping):
+    """One that is asked for within 1e-9 s of the end: a step is repeated once, and then divided before the next ones."""
+    system = assemble(
+        {"t": stopping("ticker"), "s": stopping("sum")}, ["t.level -> s.u"], {"t.how": ASKS, "t.period": 1e-3}
+    )
+    result = run(system, stop=0.1, step=1e-3, isolate=False)
+    assert len(result.events) == 100
+    assert result.card.repeated <= 2
+    assert result.card.steps <= 200
+    np.testing.assert_allclose(
+        [e.time for e in result.events], 1e-3 * np.arange(1, 101), atol=1e-15
+    )  # points
+
+
+def test_an_fmu_that_asks_after_each_step_has_its_events_there(stopping):
+    """The card says that it does; others have theirs at their times."""
+    restless = run(
+        stopping("ticker"), stop=1.0, step=0.1, set={"ticker.how": RESTLESS, "ticker.period": 0.25}
+    )
+    assert len(restless.events) == 10
+    assert restless["ticker.count"].tolist() == [0, 0, 0, 1, 1, 2, 2, 2, 3, 3, 4]
+    assert any(note.startswith("ticker: asks for event mode after each step") for note in restless.card.notes)
+    fmus = {"t": stopping("ticker"), "room": stopping("room"), "relay": stopping("relay")}
+    result = run(
+        assemble(fmus, HEATED, {"t.how": RESTLESS, "relay.how": TELLS}), stop=STOP, step=STEP, isolate=False
+    )
+    assert np.abs(result["room.T"] - temperature(result.time)).max() < 1e-9
+    np.testing.assert_allclose(held(result.events, "relay.on"), switches(STOP), atol=1e-9)
+
+
+def test_an_fmu_that_refuses_event_mode_runs_without(stopping):
+    """Its events are inside of it, and a note quotes its reason."""
+    result = run(stopping("shy"), {"time": [0, 0.5, 0.5, 1], "u": [0, 0, 1, 1]}, stop=1.0, step=0.1)
+    assert result["shy.s"][-1] == pytest.approx(0.5, abs=1e-12)  # a sum of five steps
+    told = "shy: the FMU declares event mode and refuses to be instantiated with it: its events are inside of steps; it says"
+    assert result.card.notes == (f"{told}: no event mode here",)
+    assert not result.messages
+
+
+def test_a_jump_of_a_continuous_input_is_an_event(stopping):
+    """The relay switches at the jump, in the row of its time, and the input is the cause; inside of a step, too."""
+    for at in (0.5, 0.512345):
+        jump = {"time": [0, at, at, 1], "y": [0.5, 0.5, 0.7, 0.7]}
+        result = run(stopping("relay"), jump, stop=1.0, step=0.1, record=["relay.y", "relay.on"])
+        (event,) = result.events
+        assert event.time == at
+        assert event.causes == ("relay.y",)
+        assert result["relay.on"].tolist() == [1] * (5 if at == 0.5 else 6) + [0] * (6 if at == 0.5 else 5)
+    steady = run(stopping("relay"), {"time": [0, 0.5, 1], "y": [0.5, 0.55, 0.5]}, stop=1.0, step=0.1)
+    assert steady.events == ()
+
+
+def test_one_instant_is_one_event(fmu, tmp_path):
+    """Inputs of two types that jump together, in Model Exchange."""
+    text = MODELS["room"]
+    power = [replace(v, causality="input", steady="discrete") if v.name == "power" else v for v in text]
+    xml = Description("room", [TIME, *power], {"ModelExchange": {}}, initial=False).text(3)
+    with zipfile.ZipFile(fmu("room", 3)) as source, zipfile.ZipFile(tmp_path / "room.fmu", "w") as target:
+        for name in source.namelist():
+            target.writestr(name, xml if name == "modelDescription.xml" else source.read(name))
+    jumps = {"time": [0, 0.5, 0.5, 1], "on": [0, 0, 1, 1], "power": [1, 1, 2, 2]}
+    result = run(tmp_path / "room.fmu", jumps, stop=1.0, step=0.25)
+    (event,) = result.events
+    assert event.time == 0.5
+    assert {*event.causes} == {"room.on", "room.power"}
+    assert result["room.T"][-1] == pytest.approx(
+        2 * (1 - np.exp(-0.5)), abs=1e-7
+    )  # the tolerance of the solver
 
 
 # ---- what is claimed

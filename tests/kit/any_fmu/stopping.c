@@ -9,6 +9,7 @@
  *   ticker  count := count + 1 at t = period, 2 period, ...; level = count                    time events
  *   sum     s' = u                                                    a discrete input
  *   copy    y = u, in event mode; `not` turns it round                discrete loops
+ *   shy     the same as sum; refuses to be instantiated with event mode
  *
  * `how`: 0 stops at an event; 1 tells it at the end of the step; 2 goes back to the beginning of the step first; what is
  * wrong: 3 stops there for ever; 4 the next event is in the past; 5 discrete states never settle; 6 discards each step
@@ -24,11 +25,11 @@
 
 #include "fmi3Functions.h"
 
-typedef enum { ROOM, HEATER, RELAY, BALL, TICKER, SUM, COPY, MODELS } Model;
+typedef enum { ROOM, HEATER, RELAY, BALL, TICKER, SUM, COPY, SHY, MODELS } Model;
 enum { T = 0, Y = 1, Y_RATE = 2, LOW = 3, HIGH = 4, H = 5, V_ = 6, E = 7, PERIOD = 8, LEVEL = 9, S = 10, U = 11, FALL = 12, REALS };
 enum { ON, COLD, COUNT, HOW, IN, OUT, NOT, INTEGERS };
 enum { WHOLE = 100, TIME = 300 };
-static const char *const names[MODELS] = {"room", "heater", "relay", "ball", "ticker", "sum", "copy"};
+static const char *const names[MODELS] = {"room", "heater", "relay", "ball", "ticker", "sum", "copy", "shy"};
 
 typedef struct {
     Model model;
@@ -44,7 +45,11 @@ typedef struct {
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String n, fmi3String g, fmi3String l, fmi3Boolean v, fmi3Boolean d, fmi3Boolean used,
                                          fmi3Boolean early, const fmi3ValueReference r[], size_t k, fmi3InstanceEnvironment e,
                                          fmi3LogMessageCallback f, fmi3IntermediateUpdateCallback u) {
-    (void)n, (void)l, (void)v, (void)d, (void)r, (void)k, (void)e, (void)f, (void)u;
+    (void)n, (void)l, (void)v, (void)r, (void)k, (void)u;
+    if (!strcmp(g, "shy") && used) {
+        if (d) f(e, fmi3Error, "logStatusError", "no event mode here");
+        return NULL;
+    }
     Instance *m = calloc(1, sizeof *m);
     for (int j = 0; j < MODELS; j++)
         if (!strcmp(g, names[j])) m->model = (Model)j;
@@ -150,7 +155,7 @@ static void move(Instance *m, double t, double h) {
     if (NAMED(m, ROOM) || NAMED(m, HEATER)) m->r[T] = target + (m->r[T] - target) * exp(-h);
     if (NAMED(m, RELAY)) m->r[Y] += m->r[Y_RATE] * h;
     if (NAMED(m, BALL) && !m->rests) m->r[H] += m->r[V_] * h - 0.5 * g * h * h, m->r[V_] -= g * h;
-    if (NAMED(m, SUM)) m->r[S] += m->r[U] * h;
+    if (NAMED(m, SUM) || NAMED(m, SHY)) m->r[S] += m->r[U] * h;
     m->time = t + h;
 }
 
