@@ -75,7 +75,8 @@ def main() -> None:
                 run(system, **options, isolate=False)
                 used[name] = min(used[name], process_time() - began)
         for name, card in cards.items():
-            per_ms = f"{1e6 * card.wall * STEP / STOP:8.1f} us per step {card.real_time_factor:8.1f} times real time"
+            wall, times = 1e6 * card.wall * STEP / STOP, card.real_time_factor
+            per_ms = f"{wall:8.1f} us per step {times:8.1f} times real time"
             spent = f"{1e6 * used[name] * STEP / STOP:8.1f} us of processor time"
             print(f"{name:<10} {per_ms} {spent} {card.steps:6} steps {card.repeated:6} repeated")
         factor, ratio = cards["clock"].real_time_factor, used["asks"] / used["announces"]

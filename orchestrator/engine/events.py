@@ -1,14 +1,14 @@
 """Events of the FMUs of a run: a step ends at an event, and all components go through it in one instant.
 
 FMUs have event mode between steps if they stop at their events (FMI 3.0 for Co-Simulation) or are for Model
-Exchange. Steps end at announced events, and where all FMUs of a system can go back to the beginning of a step,
-it is repeated until it ends at its first event (`native/events.c`). Otherwise an FMU that stops inside of a
-step goes through its event alone (`RunningFmu.event_inside`), and others take part at the end of the step.
-Beside an FMU with a fixed step announced events wait for the end of the step, too.
+Exchange. Steps end at announced events, and where all FMUs of a system can go back to the beginning of a
+step, it is repeated until it ends at its first event (`native/events.c`). Otherwise an FMU that stops inside
+of a step goes through its event alone (`RunningFmu.event_inside`), and others take part at the end of the
+step. Beside an FMU with a fixed step announced events wait for the end of the step, too.
 
 In an instant all FMUs with event mode enter it. There values are copied along all connections, and discrete
-states are updated, until nothing changes. Afterwards inputs, extrapolations and predictions begin anew. A jump
-of a continuous input is an event (FMI 3.0.2, 4.1).
+states are updated, until nothing changes. Afterwards inputs, extrapolations and predictions begin anew. A
+jump of a continuous input is an event (FMI 3.0.2, 4.1).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from orchestrator.fmi.instance import (
     chattering,
     settle,
 )
-from orchestrator.ssp.dependencies import divides_at_events, locates_events
+from orchestrator.ssp.dependencies import divides_at_events
 
 SHARE_OF_STEP = 1e-6  # of the step: tolerance of the time of an event, if less than TIME_TOLERANCE
 
@@ -57,7 +57,6 @@ class Instants:
         self._sink, self._state = sink, network.binding.simulation.events
         self._network, self._times, self._scenario = network, job.times, job.scenario
         self._state.divides, self._late = divides_at_events(job.system), False
-        located = locates_events(job.system, job.coupling)
         self._members: dict[str, RunningFmu] = {
             name: slave
             for name, slave in network.slaves.items()

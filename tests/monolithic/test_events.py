@@ -364,7 +364,7 @@ def acts(ticker, step, announced, located, divides):
 def test_announced_and_asked_events_beside_fixed_steps(stopping, every, step, able, name):
     """Levels that count, in integrators with or without event mode, saved state, variable step.
 
-    Announced events are ends of steps unless an FMU has a fixed step, those that are asked for if all can go back.
+    Announced events are ends of steps unless an FMU has a fixed step, others if all can go back.
     """
     saves, varies, event_mode = ("true" if can else "false" for can in able)
     sums = stopping(
@@ -374,7 +374,7 @@ def test_announced_and_asked_events_beside_fixed_steps(stopping, every, step, ab
         hasEventMode=event_mode,
     )
     fmus, wires, given_, divides = dict[str, Path](), list[str](), dict[str, float](), able[1]
-    # without event mode an FMU decides if an event at a point is before or after it, or after that of another one
+    # without event mode an FMU decides if an event at a point, or at that of another one, is before it
     every = [(period + 1.23e-3 * (k + (not divides)), *others) for k, (period, *others) in enumerate(every)]
     for k, (period, how, can) in enumerate(every):
         fmus |= {f"t{k}": stopping("ticker", canGetAndSetFMUState="true" if can else "false"), f"s{k}": sums}
@@ -395,7 +395,7 @@ def test_announced_and_asked_events_beside_fixed_steps(stopping, every, step, ab
 
 
 def test_events_at_the_ends_of_steps_cost_two_steps(stopping):
-    """One that is asked for within 1e-9 s of the end: a step is repeated once, and then divided before the next ones."""
+    """Asked for within 1e-9 s of the end: a step is repeated once, then steps are divided before it."""
     system = assemble(
         {"t": stopping("ticker"), "s": stopping("sum")}, ["t.level -> s.u"], {"t.how": ASKS, "t.period": 1e-3}
     )
@@ -428,13 +428,13 @@ def test_an_fmu_that_refuses_event_mode_runs_without(stopping):
     """Its events are inside of it, and a note quotes its reason."""
     result = run(stopping("shy"), {"time": [0, 0.5, 0.5, 1], "u": [0, 0, 1, 1]}, stop=1.0, step=0.1)
     assert result["shy.s"][-1] == pytest.approx(0.5, abs=1e-12)  # a sum of five steps
-    told = "shy: the FMU declares event mode and refuses to be instantiated with it: its events are inside of steps; it says"
-    assert result.card.notes == (f"{told}: no event mode here",)
+    told = "shy: the FMU declares event mode and refuses to be instantiated with it: its events are inside"
+    assert result.card.notes == (f"{told} of steps; it says: no event mode here",)
     assert not result.messages
 
 
 def test_a_jump_of_a_continuous_input_is_an_event(stopping):
-    """The relay switches at the jump, in the row of its time, and the input is the cause; inside of a step, too."""
+    """The relay switches at the jump, in the row of its time; the cause is the input. Inside of a step, too."""
     for at in (0.5, 0.512345):
         jump = {"time": [0, at, at, 1], "y": [0.5, 0.5, 0.7, 0.7]}
         result = run(stopping("relay"), jump, stop=1.0, step=0.1, record=["relay.y", "relay.on"])
