@@ -80,17 +80,17 @@ class Components(dict[str, Slave]):
             raise Problem(f"{where}: expected steps of all components to t = {end:.9g} s, not of {late[0]}")
 
     def _step(self, name: str, step: Callable[[float, float], None], time: float, length: float) -> None:
-        begin, end = time, time + length
+        end, least = time + length, SAME_TIME * length
         while True:
             try:
-                step(begin, end - begin)
+                step(time, length)
                 break
             except AtEvent as stop:
-                begin = stop.reached
-                if end - begin <= SAME_TIME * length:
+                time, length = stop.reached, end - stop.reached
+                if length <= least:
                     self._network.binding.simulation.events.due = True
                     break
-                self._network.binding.inside(name, begin)
+                self._network.binding.inside(name, time)
         self._reached[name] = end
 
     def _refuse(self, name: str) -> None:

@@ -628,7 +628,7 @@ class CoSimulationFmu(RunningFmu):
     # ---- steps
 
     def step(self, t: float, h: float) -> None:
-        """Advance from t to t + h [s]; raises Discarded, Ended or AtEvent with the time that it has reached."""
+        """Advance from t to t + h [s]; raises Discarded, Ended or AtEvent with the time that it reached."""
         status = self.fmu.step(t, h, self._final)
         if status or self.fmu.flags.value:
             self._check_step(status)

@@ -434,7 +434,7 @@ def test_an_fmu_that_refuses_event_mode_runs_without(stopping):
 
 
 def test_a_jump_of_a_continuous_input_is_an_event(stopping):
-    """The relay switches at the jump, in the row of its time; the cause is the input. Inside of a step, too."""
+    """The relay switches at the jump, in the row of its time; the cause is the input."""
     for at in (0.5, 0.512345):
         jump = {"time": [0, at, at, 1], "y": [0.5, 0.5, 0.7, 0.7]}
         result = run(stopping("relay"), jump, stop=1.0, step=0.1, record=["relay.y", "relay.on"])

@@ -181,7 +181,7 @@ def ticking_fmu(file: Path, interval: str, **changes: str) -> Path:
     return _of_source(file, "ticks.c", "unit", {"INTERVAL": interval, **changes})
 
 
-ABLE = dict.fromkeys(
+STOPS = dict.fromkeys(
     ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "hasEventMode"), "true"
 ) | {"mightReturnEarlyFromDoStep": "true"}
 
@@ -195,7 +195,7 @@ def stopping_fmu(
     """
     source = Path(__file__).with_name("stopping.c")
     variables = [v for v in tables(str(source))[model] if v.name not in without]
-    text = Description(model, variables, {"CoSimulation": ABLE | able}, undeclared=undeclared).text(3)
+    text = Description(model, variables, {"CoSimulation": STOPS | able}, undeclared=undeclared).text(3)
     binary = library("stopping", [source], "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
     return packed(file, {"modelDescription.xml": text, member(3, model): binary})
 
