@@ -174,6 +174,7 @@ class Job:
         divides = coupling.adaptive is not None or guarded(system, coupling)
         span, fitted = (step, start, stop), "accuracy" in options
         times = grid(system, trace, *span, options.get("record_step"), fitted)
+        system = system.noted(*uneven_steps(system, coupling, times))
         if driving:
             driving, times = driving.on(times, system, divides)
         options = _resolved(options, system)
@@ -255,6 +256,16 @@ class Job:
         assert c.adaptive is not None
         tolerance = None if c.tolerance is None else c.tolerance / 10
         return replace(self, coupling=replace(c, adaptive=c.adaptive / 10, tolerance=tolerance))
+
+
+def uneven_steps(system: System, coupling: Coupling, times: Grid) -> list[str]:
+    """Notes on FMUs with a fixed step that get steps of another length."""
+    notes = list[str]()
+    for name, component in system.components.items():
+        fixed, step = component.interface.fixed_step, times.step / coupling.factors.get(name, 1)
+        if fixed and abs(step - max(round(step / fixed), 1) * fixed) > SAME_TIME * step:
+            notes.append(f"{name}: expected multiples of its fixed step, {fixed:g} s, got steps of {step:g} s")
+    return notes
 
 
 def guarded(system: System, coupling: Coupling) -> bool:

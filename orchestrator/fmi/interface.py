@@ -161,6 +161,12 @@ class FmuInterface:
         return declared
 
     @property
+    def fixed_step(self) -> float:
+        """The step of an FMU whose steps may not vary [s], if it declares it; else 0."""
+        declared = _number(self.model.interfaces.get(self.kind, Entry()), "fixedInternalStepSize")
+        return 0.0 if self.variable_step else declared or 0.0
+
+    @property
     def linearisable(self) -> bool:
         """Does the FMU declare directional derivatives and all its states?"""
         return self.directional_derivatives and bool(self.states or self.stateless)
