@@ -6,7 +6,6 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import contextlib
-import shutil
 import signal
 import time
 from collections import Counter
@@ -18,9 +17,8 @@ import pytest
 from kit import properties
 from kit.shards import SHARDS
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 LONG = 600.0  # s for a browser to start or the machine to be built; only bounds a failure
-INSTALL = "no Chromium found; install one: apt install chromium, or any Chrome in the search path"
+INSTALL = "apt install chromium, or any Chrome in the search path"
 # pictures are drawn by the processor; without the calls home that a fresh browser makes
 FLAGS = (
     "--no-sandbox",
@@ -39,7 +37,7 @@ os.environ.setdefault(
 
 
 ROOT = Path(__file__).parents[1]
-pytest_plugins = ["kit.shares"]
+pytest_plugins = ["kit.shares", "kit.needs"]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -75,13 +73,14 @@ pytest_pyfunc_call = pytest_fixture_setup = pytest_runtest_setup
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
     """A headless Chromium; without one the test is skipped. Of its library a process can hold only one."""
-    found = next(filter(None, map(shutil.which, NAMES)), None)
-    if found is None:
-        pytest.skip(INSTALL)
+    from kit.needs import CHROMIUM, lacks  # here, because pytest loads it first, as a plugin
+
+    if CHROMIUM is None:
+        lacks("chromium", INSTALL)
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=found, args=list(FLAGS), timeout=1e3 * LONG)
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS), timeout=1e3 * LONG)
         yield browser
         browser.close()
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from kit import shards
+from kit.needs import ARM, QEMU, WINE, lacks, needs
 from native.bench import assert_same, begin, cycle, drive, driver, moves, numbers, unpack
 
 from fmus.export.build import build_all
@@ -18,9 +19,6 @@ from fmus.operator_input.work_cycle import WORK_CYCLE_STOP
 
 pytestmark = shards.platforms
 
-WINE = shutil.which("wine64") or shutil.which("/usr/lib/wine/wine64") or shutil.which("wine")
-QEMU = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
-ARM = Path("/usr/aarch64-linux-gnu")  # where Debian's libc6-arm64-cross puts the loader and libraries
 STOP = 5.0  # s: all three levers have moved
 
 
@@ -43,7 +41,7 @@ def compare(machines: Any, drivers: Any, folder: Path, platform: str, before: Se
 def wine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """Wine with a drive C: of its own, which takes 0.7 GB and goes when the test is over."""
     if WINE is None:
-        pytest.skip("Wine is not installed (Debian: wine64)")
+        lacks("wine64")
     prefix = tmp_path / "wine"
     for name, value in (("WINEPREFIX", str(prefix)), ("WINEDEBUG", "-all"), ("DISPLAY", "")):
         monkeypatch.setenv(name, value)
@@ -61,8 +59,8 @@ def test_windows_gives_the_same_numbers(machines, drivers, tmp_path, wine):
     compare(machines, drivers, tmp_path, "x86_64-windows", [wine])
 
 
-@pytest.mark.skipif(QEMU is None, reason="qemu-aarch64 is not installed (Debian: qemu-user)")
-@pytest.mark.skipif(not ARM.is_dir(), reason="no libraries for aarch64 (Debian: libc6-arm64-cross)")
+@needs("qemu-user")
+@needs("libc6-arm64-cross")
 def test_arm_gives_the_same_numbers(machines, drivers, tmp_path):
     """The aarch64 Linux binaries under qemu follow the work cycle as the binaries of this machine do."""
     compare(machines, drivers, tmp_path, "aarch64-linux", [str(QEMU), "-L", str(ARM)])
