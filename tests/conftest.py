@@ -145,6 +145,15 @@ def fmu_dir(built: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def diagnosis_fmu(once: Once) -> Path:
+    """The diagnosis of the harvester alone."""
+    from fmus.machine.build import harvester
+
+    folder = once("diagnosis", lambda f: harvester(faults=True).write(f, only=("diagnosis",)))
+    return folder / "diagnosis.fmu"
+
+
+@pytest.fixture(scope="session")
 def system(fmu_dir: Path) -> Any:
     """The machine, read once."""
     from orchestrator import load

@@ -33,7 +33,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 # in the folder faults: the FMUs of harvester_sensors.ssp
-SENSED = "swing boom_stick manipulator supply valve_actuation controller sensors diagnosis".split()
+PARTS = ("swing", "boom_stick", "manipulator", "supply")
+SENSED = (*PARTS, "valve_actuation", "controller", "sensors", "diagnosis")
 ROOT = Path(__file__).resolve().parents[1]
 STAGE, BUILT, DIST = ROOT / "build" / "release", ROOT / "build" / "release-fmus", ROOT / "dist"
 READ_ME = """harvester-cosim {version}: an electrohydraulic forestry harvester as FMUs
