@@ -47,6 +47,7 @@ OTHERS: dict[str, object] = {
     "OpenModelica": program("omc"),
     "Reference-FMUs": REFERENCE_FMUS.is_dir(),
     "a package index": None,
+    "time": None,  # no test begins after --until
     "a Python that is a shared library": None,
 }
 KNOWN = PACKAGES | OTHERS
@@ -87,10 +88,14 @@ def hidden(reasons: Iterable[str], installed: Callable[[str], bool] = is_install
     return found
 
 
-def _reasons(config: pytest.Config) -> Counter[str]:
+def _reasons(config: pytest.Config) -> dict[str, Counter[str]]:
+    """Reasons -> files of the tests that were skipped for them."""
     reporter: Any = config.pluginmanager.get_plugin("terminalreporter")
-    skipped = reporter.stats.get("skipped", []) if reporter else []
-    return Counter(report.longrepr[2].removeprefix("Skipped: ") for report in skipped)
+    found: dict[str, Counter[str]] = {}
+    for report in reporter.stats.get("skipped", []) if reporter else []:
+        files = found.setdefault(report.longrepr[2].removeprefix("Skipped: "), Counter())
+        files[report.nodeid.partition("::")[0]] += 1
+    return found
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
@@ -101,10 +106,10 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """How many tests were not run for which reason."""
+    """How many tests were not run for which reason, and of which files."""
     reasons = _reasons(config)
-    wrong = hidden(reasons)
-    for reason, count in reasons.most_common():
-        terminalreporter.line(f"not run, {count}: {reason}")
-    for reason, why in wrong.items():
+    for reason, files in reasons.items():
+        names = ", ".join(f"{name} {count}" for name, count in files.most_common())
+        terminalreporter.line(f"not run, {files.total()}: {reason}; {names}")
+    for reason, why in hidden(reasons).items():
         terminalreporter.line(f"ERROR skipped for {reason!r}: {why}", red=True)
