@@ -26,9 +26,9 @@ demo: $(EVERYTHING)
 	$(BIN)/harvester build --fmi 3 --only harvester
 	$(BIN)/harvester validate
 
-# PART=1/3: those of three parts of the tests that has the number 1
+# PART=1/3: those of three parts of the tests that has the number 1; FIRST and UNTIL: see .ci/run
 WORKERS := 2
-PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(PART:%=--part=%)
+PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(PART:%=--part=%) $(FIRST:%=--first=%) $(UNTIL:%=--until=%)
 
 # fails also if a file takes more than its share (tests/kit/shares.py)
 test: $(TESTING)

@@ -23,7 +23,7 @@ from pathlib import Path, PurePosixPath
 
 from orchestrator.base.compiler import note_generated, private_cache, process_folder
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import CHECKOUT, FMI3, VARIANTS, write_whole, zip_bytes
+from orchestrator.base.files import CHECKOUT, FMI3, write_whole, zip_bytes
 from orchestrator.base.progress import doing
 from orchestrator.base.xml import package_version
 
@@ -61,18 +61,19 @@ def files(name: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
     }
     if BUILT.is_file() and set(suffixes) & set(ZIPS):
         built = shipped_folder(fmi3=OF_FMI3 in name)
-        found |= {f"build/{p.relative_to(built).as_posix()}": p for p in sorted(built.rglob("*"))}
+        inner = sorted(built.rglob("*"), key=lambda p: (len(p.parts), p))  # a plain name is the healthy part
+        found |= {f"build/{p.relative_to(built).as_posix()}": p for p in inner}
     return {key: path for key, path in found.items() if path.suffix in suffixes}
 
 
 def copy_shipped(folder: Path, versions: Sequence[int] = (2,)) -> list[Path]:
     """Copy the FMUs and systems that the package contains, for all platforms; the copies."""
     built, paths = shipped_folder(fmi3=3 in versions), []
-    for fmi in versions:
-        for sub in (SUBFOLDERS[fmi], f"{SUBFOLDERS[fmi]}/{VARIANTS}".strip("/")):
-            for source in sorted(p for p in (built / sub).iterdir() if p.is_file()):
-                paths.append(Path(folder) / sub / source.name)
-                write_whole(paths[-1], source.read_bytes())
+    for source in sorted(p for p in built.rglob("*") if p.is_file()):
+        name = source.relative_to(built).as_posix()
+        if (3 if name.startswith(OF_FMI3) else 2) in versions:
+            paths.append(Path(folder) / name)
+            write_whole(paths[-1], source.read_bytes())
     return paths
 
 

@@ -6,7 +6,6 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import contextlib
-import shutil
 import signal
 import time
 from collections import Counter
@@ -17,10 +16,10 @@ from typing import Any
 import pytest
 from kit import properties
 from kit.shards import SHARDS
+from kit.touched import is_touched
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 LONG = 600.0  # s for a browser to start or the machine to be built; only bounds a failure
-INSTALL = "no Chromium found; install one: apt install chromium, or any Chrome in the search path"
+INSTALL = "apt install chromium, or any Chrome in the search path"
 # pictures are drawn by the processor; without the calls home that a fresh browser makes
 FLAGS = (
     "--no-sandbox",
@@ -39,49 +38,71 @@ os.environ.setdefault(
 
 
 ROOT = Path(__file__).parents[1]
-pytest_plugins = ["kit.shares"]
+pytest_plugins = ["kit.shares", "kit.needs"]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`.ci/run` asks for a part of the long tests."""
+    """`.ci/run` asks for a part of the long tests, or for those that a change touches first."""
     parser.addoption(
         "--part", default="0/1", help="K/N: the tests with the number K when they are counted up to N"
     )
+    parser.addoption(
+        "--first", type=Path, help="a file with changed files: all tests, first theirs, then those of --part"
+    )
+    parser.addoption("--until", type=float, default=float("inf"), help="no test begins later [s since 1970]")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Each long test is in one shard that exists; of a part of the tests each shard is counted for itself."""
     part, parts = map(int, config.getoption("part").split("/"))
-    kept, counts = list[pytest.Item](), Counter[str]()
+    own, rest, counts = list[pytest.Item](), list[pytest.Item](), Counter[str]()
     for item in items:
         shards = [mark.kwargs.get("shard") for mark in item.iter_markers("long")] or [""]
         if len(shards) > 1 or shards[0] not in ("", *SHARDS):
             raise pytest.UsageError(f"{item.nodeid}: expected one shard of {', '.join(SHARDS)}, got {shards}")
-        if counts[shards[0]] % parts == part:
-            kept.append(item)
+        (own if counts[shards[0]] % parts == part else rest).append(item)
         counts[shards[0]] += 1
-    items[:] = kept
+    if first := config.getoption("first"):
+        files = first.read_text(encoding="utf-8").splitlines()
+        own = sorted([*own, *rest], key=lambda item: not is_touched(item.nodeid, files))
+    items[:] = own
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup() -> None:
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Nothing begins when the time is up."""
+    from kit.needs import lacks  # here, because pytest loads it first, as a plugin
+
+    if time.time() > item.config.getoption("until"):
+        lacks("time")
+    without_name()
+
+
+def without_name() -> None:
     """Runs in a process of their own share one, as long as the environment stays the same: 0.3 s each."""
     os.environ.pop("PYTEST_CURRENT_TEST", None)
 
 
-pytest_pyfunc_call = pytest_fixture_setup = pytest_runtest_setup
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call() -> None:
+    """As for the setup of a test."""
+    without_name()
+
+
+pytest_fixture_setup = pytest_pyfunc_call
 
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
     """A headless Chromium; without one the test is skipped. Of its library a process can hold only one."""
-    found = next(filter(None, map(shutil.which, NAMES)), None)
-    if found is None:
-        pytest.skip(INSTALL)
+    from kit.needs import CHROMIUM, lacks  # here, because pytest loads it first, as a plugin
+
+    if CHROMIUM is None:
+        lacks("chromium", INSTALL)
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=found, args=list(FLAGS), timeout=1e3 * LONG)
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS), timeout=1e3 * LONG)
         yield browser
         browser.close()
 
@@ -143,6 +164,15 @@ def built(once: Once) -> Path:
 def fmu_dir(built: Path) -> Path:
     """Folder with swing.fmu, boom_stick.fmu, manipulator.fmu and harvester.ssp."""
     return built
+
+
+@pytest.fixture(scope="session")
+def diagnosis_fmu(once: Once) -> Path:
+    """The diagnosis of the harvester alone."""
+    from fmus.machine.build import harvester
+
+    folder = once("diagnosis", lambda f: harvester(faults=True).write(f, only=("diagnosis",)))
+    return folder / "diagnosis.fmu"
 
 
 @pytest.fixture(scope="session")

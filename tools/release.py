@@ -1,11 +1,12 @@
 """Makes the files of a release in dist/: wheel, sdist, and a zip for people without Python.
 
-    python tools/release.py            all platforms: six minutes of processor time for the FMUs, which
+    python tools/release.py            all platforms: ten minutes of processor time for the FMUs, which
                                        all cores share; 1.5 more once, for the C libraries of the platforms
     python tools/release.py host       a try, for this computer only
 
 1. The files of the last commit are copied to build/release, so that nothing else gets into the release.
-2. `harvester build --platform all` writes FMUs and systems, which go to fmus/built.tar.xz there.
+2. `harvester build --platform all` writes FMUs and systems, which go to fmus/built.tar.xz there; with
+   `--faults` those that find what is broken, of FMI 2.0.
 3. The libraries that commands load go to orchestrator/compiled.
 4. Hatchling packs wheel and sdist. The sdist contains no built files.
 5. The zip contains the FMUs and systems, and the documentation page of each FMU.
@@ -31,6 +32,9 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
+# in the folder faults: the FMUs of harvester_sensors.ssp
+PARTS = ("swing", "boom_stick", "manipulator", "supply")
+SENSED = (*PARTS, "valve_actuation", "controller", "sensors", "diagnosis")
 ROOT = Path(__file__).resolve().parents[1]
 STAGE, BUILT, DIST = ROOT / "build" / "release", ROOT / "build" / "release-fmus", ROOT / "dist"
 READ_ME = """harvester-cosim {version}: an electrohydraulic forestry harvester as FMUs
@@ -38,6 +42,7 @@ READ_ME = """harvester-cosim {version}: an electrohydraulic forestry harvester a
 fmi2/    FMUs of FMI 2.0 (Co-Simulation and Model Exchange) and systems (.ssp, SSP 1.0)
 fmi3/    the same as FMI 3.0 and SSP 2.0
          variants/ in both: the parts at other levels of detail, with the same ports
+         faults/ in fmi2: the parts with faults as inputs, sensors and diagnosis of a control unit
 
 documentation/   a page for each FMU: equations, ports, parameters with sources; the FMUs contain it, too
 
@@ -107,10 +112,16 @@ def _stage() -> None:
 
 
 def _build(platforms: Sequence[str]) -> None:
-    """In a process of its own, which imports the copy and not what this one has imported."""
-    command = [sys.executable, "-m", "orchestrator", "build", "--out", str(BUILT)]
-    command += [word for name in platforms for word in ("--platform", name)]
     shutil.rmtree(BUILT, ignore_errors=True)
+    for_all = [word for name in platforms for word in ("--platform", name)]
+    _harvester_build("--out", str(BUILT), *for_all)
+    only = [word for name in SENSED for word in ("--only", name)]
+    _harvester_build("--out", str(BUILT / "faults"), "--faults", "--fmi", "2", *only, *for_all)
+
+
+def _harvester_build(*arguments: str) -> None:
+    """In a process of its own, which imports the copy and not what this one has imported."""
+    command = [sys.executable, "-m", "orchestrator", "build", *arguments]
     process = subprocess.Popen(
         command, cwd=STAGE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
@@ -179,7 +190,9 @@ def _members(release: str) -> Iterator[tuple[str, bytes]]:
     yield "README.txt", read_me(release).encode()
     yield "LICENSE.txt", (STAGE / "LICENSE").read_bytes()
     yield "NOTICES.md", (STAGE / "NOTICES.md").read_bytes()
-    for path in sorted(p for p in BUILT.rglob("*") if p.is_file()):
+    built = (p for p in BUILT.rglob("*") if p.is_file())
+    # of two FMUs of one name the page of the healthy one, which comes later
+    for path in sorted(built, key=lambda p: ("faults" not in p.parts, p)):
         relative = path.relative_to(BUILT)
         folder = "" if relative.parts[0] == "fmi3" else "fmi2/"
         yield f"{folder}{relative.as_posix()}", path.read_bytes()

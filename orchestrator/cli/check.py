@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import make_folder, require, write_whole
+from orchestrator.base.files import FMUS, find, make_folder, require, write_whole
 from orchestrator.base.options import Kind
 from orchestrator.cli.options import BUILD, File, Folder, command
 
@@ -73,7 +73,8 @@ def diagnose(
     recording    Columns with the names of the inputs of the FMU, also COMPONENT.NAME or NAME_measured, best
                  at 100 Hz or more (.csv, .parquet, .mat, .mf4, .tdms); a .toml of the same name can describe
                  others.
-    fmu          FMU that diagnoses; `harvester build --faults` makes it.
+    fmu          FMU that diagnoses; `harvester build --faults` makes it; else the one in the installed
+                 package.
     parameters   Parameter sets (.ssv), such as what was learned of the healthy machine.
     learn        The recording is of the healthy machine, without payload: write what was learned to this
                  file (.ssv).
@@ -82,11 +83,10 @@ def diagnose(
     from orchestrator.results.diagnosis import diagnose as diagnosed
     from orchestrator.results.diagnosis import learned, learning, picture
 
-    if fmu == DIAGNOSIS and not fmu.exists():
-        raise Problem(
-            f"{fmu}: no such file; make it with: harvester build --faults --fmi 2 --out {fmu.parent}"
-        )
-    require(fmu, (".fmu",))
+    make = f"harvester build --faults --fmi 2 --out {fmu.parent}"
+    if fmu == DIAGNOSIS and not find(fmu, FMUS).exists():
+        raise Problem(f"{fmu}: no such file; name one with --fmu FILE, or make it with: {make}")
+    fmu = require(fmu, FMUS)
     make_folder(out)
     found = diagnosed(fmu, recording, parameters or ())
     if learn is not None:

@@ -16,6 +16,7 @@ from markupsafe import Markup
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
 from orchestrator.base.options import declarations
 from orchestrator.base.progress import doing
@@ -283,6 +284,8 @@ class Experiment:
     def check(self) -> None:
         """Refuse options that have no meaning together."""
         limit, play = self.limit, self.play
+        if self.monolithic:  # before the run
+            require("reference", "the reference solution", "sksundae")
         if self.monolithic and self.reference:
             reason = "because the solution replaces it"
             raise Problem(f"--monolithic: expected no --reference, {reason}, got {self.reference}")

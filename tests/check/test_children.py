@@ -1,7 +1,6 @@
 """Child processes of the check end whatever the FMU does, and leave no processes or files."""
 
 import signal
-import sys
 import tempfile
 import time
 from functools import partial
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from kit import shards
+from kit.needs import needs
 from kit.wait import until
 from zoo.command import command
 
@@ -19,7 +19,7 @@ from orchestrator.worker.calls import share_activity
 from orchestrator.worker.process import MAX_STDERR, LimitExceeded, Worker, WorkerLimits
 
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
-linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+linux = needs("Linux", "looks into /proc")
 bounded = pytest.mark.timeout(PATIENCE)  # a limit that is not enforced lets a test wait for ever
 
 
@@ -96,7 +96,7 @@ def _hangs_in_a_step(there: Path) -> bool:
     return any(b"fmi2DoStep" in call for call in before & calls())
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
+@needs("POSIX", "sends POSIX signals")
 @pytest.mark.parametrize(
     "number", ["SIGINT", *(pytest.param(other, marks=shards.faults) for other in ("SIGTERM", "SIGHUP"))]
 )

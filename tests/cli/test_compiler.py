@@ -3,14 +3,14 @@
 import ctypes
 import logging
 import os
-import sys
 from functools import partial
 
 import pytest
+from kit.needs import needs
 
 from orchestrator.base import compiler
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="owners and permissions of POSIX")
+pytestmark = needs("POSIX", "owners and permissions of POSIX")
 CODE, ARGUMENTS = {"one.c": b"int one(void) { return 1; }"}, ["-shared", "-fPIC", "-nostdlib", "one.c"]
 
 

@@ -6,22 +6,25 @@ import subprocess
 import sys
 import tarfile
 import tomllib
+from ast import literal_eval
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions
 from pathlib import Path
 
 import fmpy
 import pytest
+from diagnosis.test_diagnose import resting, written
 from kit import shards
-from kit.mistakes import entry, table
+from kit.mistakes import entry
 
 import orchestrator
 from fmus import package_files
 from orchestrator import read_recording, read_study, run
 from orchestrator.__main__ import main
 from orchestrator.base import compiler, files
-from orchestrator.base.extras import EXTRAS
+from orchestrator.base.extras import EXTRAS, NEEDED_BY
 from orchestrator.check.rules import identity
+from orchestrator.cli import COMMANDS
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -37,7 +40,6 @@ class Refusing:
 sys.meta_path.insert(0, Refusing())
 {code}
 """
-COMMAND = "from orchestrator.__main__ import main\nsys.exit(main({arguments!r}))"
 packages = cache(packages_distributions)  # it reads the metadata of all packages: half a second
 EVERY = sorted({module for modules in EXTRAS.values() for module in modules})
 
@@ -71,15 +73,44 @@ def test_the_base_has_no_package_of_an_extra():
     assert not base & {package_of(module) for module in EVERY}
 
 
-@table(__file__, "commands", "extra, arguments, modules, name")
-def test_a_command_without_its_extra_says_what_to_install(tmp_path, extra, arguments, modules, name):
+def test_each_command_is_tried_as_the_table_in_readme_promises():
+    """Those that the table names with their extra, all others without any."""
+    promised = set[tuple[str, str, str]]()
+    for extra, text in NEEDED_BY.items():
+        named = re.findall(r"`(?:harvester )?(\w+)([\w -]*)`", text.partition(";")[0])
+        promised |= {(name, extra, option) for name, option in named if name in COMMANDS}
+    tried = {(name, extra) for extra, _, _, name in entry(__file__, "commands")}
+    assert tried == {(name, extra) for name, extra, _ in promised}
+    always = {name for name, _, option in promised if not option}
+    assert {words[0] for words in entry(__file__, "base")} == {*COMMANDS} - always
+
+
+# the commands one after the other: what each prints, and its exit status
+EACH = """
+import io
+from contextlib import redirect_stderr, redirect_stdout
+from orchestrator.__main__ import main
+for words in {commands!r}:
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        status = main(words)
+    print(repr((status, out.getvalue(), err.getvalue())))
+"""
+
+
+def test_a_command_without_its_extra_says_what_to_install(fmu_dir, tmp_path):
     """One line with the packages and the command, and the exit status of a mistake; nothing is written."""
-    done = without(EVERY, COMMAND.format(arguments=[name, *arguments]), tmp_path)
-    line = f'harvester: harvester {name} needs .*; install with: pip install "harvester-cosim\\[{extra}\\]"\n'
-    assert re.fullmatch(line, done.stderr), done.stderr
-    assert all(module in done.stderr for module in modules or EXTRAS[extra])
-    assert (done.returncode, done.stdout) == (2, "")
-    assert not any(tmp_path.iterdir())
+    rows, system = entry(__file__, "commands"), fmu_dir / "harvester.ssp"
+    commands = [[name, *(w.format(system=system) for w in words)] for _, words, _, name in rows]
+    done = without(EVERY, EACH.format(commands=commands), tmp_path)
+    assert len(done.stdout.splitlines()) == len(rows), done.stderr
+    for (extra, _, modules, name), line in zip(rows, done.stdout.splitlines(), strict=True):
+        status, out, told = literal_eval(line)
+        install = re.escape(f'; install with: pip install "harvester-cosim[{extra}]"\n')
+        who = "the reference solution" if extra == "reference" else f"harvester {name}"
+        assert re.fullmatch(f"harvester: {who} needs the packages? [\\w, ]+{install}", told), told
+        assert all(module in told for module in modules or EXTRAS[extra]), told
+        assert (status, out) == (2, ""), name
+    assert not any(path.is_file() for path in tmp_path.rglob("*"))
 
 
 # a call, and the Problem that tells what to install
@@ -114,14 +145,16 @@ def test_any_other_import_of_an_extra_is_one_line_too(tmp_path):
     assert (done.returncode, done.stderr) == (2, told)
 
 
-def test_a_command_of_the_base_needs_no_extra(fmu_dir, tmp_path):
-    """It runs although no package of any extra can be imported."""
+def test_a_command_of_the_base_needs_no_extra(fmu_dir, diagnosis_fmu, tmp_path):
+    """It runs although no package of any extra can be imported; a short recording cannot be diagnosed."""
     for name in ("a", "b"):
         (tmp_path / f"{name}.csv").write_text("time,part.speed\n0,0\n1,1\n2,0\n", encoding="utf-8")
-    names = {"system": fmu_dir / "harvester.ssp", "fmu": fmu_dir / "supply.fmu"}
+    written(tmp_path, resting(2.0), "today.csv")
+    names = {"system": fmu_dir / "harvester.ssp", "fmu": fmu_dir / "supply.fmu", "diagnosis": diagnosis_fmu}
     commands = [[argument.format(**names) for argument in arguments] for arguments in entry(__file__, "base")]
     code = "from orchestrator.__main__ import main\n"
-    code += f"for words in {commands!r}:\n    status = main(words)\n    assert status == 0, words"
+    code += f"for words in {commands!r}:\n    status = main(words)\n"
+    code += "    assert status == 3 * (words[0] == 'diagnose'), (words, status)"
     done = without(EVERY, code, tmp_path)
     assert done.returncode == 0, done.stderr
     assert "harvester: " not in done.stderr
@@ -149,6 +182,9 @@ def archives(built, tmp_path_factory):
             for file in built.glob(pattern):
                 (folder / file.relative_to(built)).parent.mkdir(parents=True, exist_ok=True)
                 (folder / file.relative_to(built)).symlink_to(file)
+        (folder / "faults").mkdir()  # two that are there already stand for others
+        (folder / "faults" / "diagnosis.fmu").symlink_to(built / "supply.fmu")
+        (folder / "faults" / "swing.fmu").symlink_to(built / "manipulator.fmu")
         package_files.pack(folder, folder / "built.tar.xz", preset=0)
         return folder / "built.tar.xz"
 
@@ -168,12 +204,12 @@ def wheel(archives, tmp_path_factory, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("some", [SOME, pytest.param(("*.*", "variants/*"), marks=shards.documents)])
-def test_the_archive_restores_the_files(some, built, archives):
+def test_the_archive_restores_the_files(some, archives):
     """The same files with the same bytes; without FMI 3.0 those of FMI 2.0."""
     archive = archives(*some)
     folder = archive.parent
     names = [p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.suffix in (".fmu", ".ssp")]
-    files = {name: (built / name).read_bytes() for name in names}
+    files = {name: (folder / name).read_bytes() for name in names}
     assert dict(package_files.unpack(archive)) == files
     second = {name: data for name, data in files.items() if not name.startswith("fmi3/")}
     assert dict(package_files.unpack(archive, fmi3=False)) == second
@@ -219,6 +255,19 @@ def test_what_is_shipped_has_names(capsys, monkeypatch):
         orchestrator.runn  # noqa: B018
 
 
+def test_the_fmus_that_diagnose_are_in_the_package(wheel, capsys):
+    """`diagnose` takes that of its default path; a plain name is a healthy part."""
+    written(Path(), resting(0.1), "today.csv")
+    assert main(["diagnose", "today.csv"]) == 2  # this one has other inputs
+    place = Path("build/faults/diagnosis.fmu")
+    told, problem = capsys.readouterr().err.splitlines()[-2:]
+    assert told.startswith(f"{place} does not exist; using the one in the package: {wheel}")
+    assert problem.startswith("harvester: today.csv: no column has the name of an input of diagnosis.fmu: ")
+    assert files.find("swing", files.FMUS).parent.name != "faults"
+    assert main(["build", "--shipped", "--fmi", "2"]) == 0
+    assert place.is_file()
+
+
 @pytest.mark.usefixtures("wheel")
 def test_a_built_system_goes_before_the_one_in_the_package(fmu_dir, capsys):
     """Also for `--version`, which says where the FMUs are."""
@@ -240,7 +289,8 @@ def test_the_fmus_in_the_package_can_be_copied(fmu_dir, capsys, monkeypatch):
     assert main(["build", "--shipped", "--fmi", "2"]) == 0
     copied = {p.relative_to("build").as_posix() for p in Path("build").rglob("*") if p.is_file()}
     assert {"harvester.ssp", "swing.fmu", "variants/swing_detailed.fmu"} <= copied
-    assert all((Path("build") / name).read_bytes() == (fmu_dir / name).read_bytes() for name in copied)
+    healthy = [name for name in copied if not name.startswith("faults/")]
+    assert all((Path("build") / name).read_bytes() == (fmu_dir / name).read_bytes() for name in healthy)
     assert main(["build", "--shipped", "--platform", "all"]) == 2
     monkeypatch.setattr(package_files, "BUILT", Path("none"))
     assert main(["build", "--shipped"]) == 2

@@ -224,7 +224,6 @@ def test_files_hold_the_arrays_and_the_names(fmus, tmp_path):
 
 def test_python_control_takes_it(fmus):
     """The StateSpace of python-control has the same poles, and the names with _ for dots."""
-    pytest.importorskip("control")
     linear = linearize(masses(fmus), inputs=["a.pull"], outputs=["b.position"])
     plant = linear.to_control()
     np.testing.assert_allclose(np.sort_complex(plant.poles()), np.sort_complex(np.linalg.eigvals(linear.a)))

@@ -1,7 +1,11 @@
 """The loader's FMUs and systems."""
 
+import sys
+from importlib import import_module
+
 import pytest
 from kit.cranes import crane
+from kit.needs import lacks
 
 from fmus.crane.machine import crane_build
 
@@ -9,7 +13,9 @@ from fmus.crane.machine import crane_build
 @pytest.fixture(scope="session")
 def pin():
     """Pinocchio, a rigid-body library with algorithms and a reader of its own."""
-    return pytest.importorskip("pinocchio", reason="Pinocchio is installed on Linux only")
+    if sys.platform != "linux":
+        lacks("Linux", "Pinocchio is installed there only")
+    return import_module("pinocchio")
 
 
 @pytest.fixture(scope="session")

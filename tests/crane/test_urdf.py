@@ -12,6 +12,7 @@ import pytest
 from crane.rigid_bodies import mass_and_weight
 from kit.cranes import checked, crane
 from kit.mistakes import entry, problem
+from kit.needs import needs
 
 from fmus.components.chain import Chain
 from fmus.contract import nested
@@ -277,7 +278,7 @@ def test_a_long_chain_of_plates_is_one_link(tmp_path):
     assert "1 joints" in imported(source, target)
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such pipes")
+@needs("POSIX", "Windows has no such pipes")
 def test_only_files_are_read(tmp_path):
     """A device has no end, a pipe waits for its other end: neither is opened."""
     os.mkfifo(tmp_path / "pipe")

@@ -13,10 +13,9 @@ def faulty(once):
 
 
 @pytest.fixture(scope="session")
-def fmu(once):
+def fmu(diagnosis_fmu):
     """The diagnosis of the harvester alone."""
-    folder = once("diagnosis", lambda f: harvester(faults=True).write(f, only=("diagnosis",)))
-    return folder / "diagnosis.fmu"
+    return diagnosis_fmu
 
 
 @pytest.fixture(scope="session")

@@ -415,4 +415,5 @@ def test_the_default_fmu_has_a_hint(tmp_path, columns, capsys, monkeypatch):
     """One line that says how to make it."""
     monkeypatch.chdir(tmp_path)
     assert main(["diagnose", str(written(tmp_path, columns))]) == 2
-    assert "make it with: harvester build --faults" in capsys.readouterr().err
+    told = "no such file; name one with --fmu FILE, or make it with: harvester build --faults --fmi 2 --out "
+    assert told in capsys.readouterr().err

@@ -90,7 +90,7 @@ def test_the_wheel_alone(clone, tmp_path):
     ran(clone, *pip, wheel)
     size = sum(p.lstat().st_size for p in place.rglob("*") if p.is_file() and not p.is_symlink())
     assert size <= 350e6, f"{size / 1e6:.0f} MB"
-    for command in ("run --stop 1", "validate", "check swing", "plot build/trace.csv"):
+    for command in entry(__file__, "without_extras"):
         ran(tmp_path, place / "bin" / "harvester", *command.split())
     ran(clone, *pip, f"harvester-cosim[{EXTRAS}] @ {wheel.as_uri()}")
     Page(clone / "README.md", empty, programs=place / "bin").run()

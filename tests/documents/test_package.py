@@ -22,6 +22,7 @@ from hatchling.metadata.spec import get_core_metadata_constructors
 from hatchling.plugin.manager import PluginManager
 from kit import shards
 from kit.mistakes import entry
+from kit.needs import lacks
 from lxml import html
 from markdown_it import MarkdownIt
 from packaging.requirements import Requirement
@@ -43,7 +44,6 @@ def text(name: str) -> str:
 @pytest.fixture(scope="module")
 def resolve():
     """The command of uv that resolves packages, with the index of pip's settings, which uv does not read."""
-    pytest.importorskip("uv")
     command = [sys.executable, "-m", "pip", "config", "list"]
     settings = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     url = re.search(r"\.index-url='(.+)'", settings)
@@ -51,7 +51,7 @@ def resolve():
     resolve += ["--default-index", url[1]] if url else []
     done = subprocess.run([*resolve, "-"], input="packaging", capture_output=True, text=True)
     if done.returncode:
-        pytest.skip(f"no package index: {done.stderr.strip()[:300]}")
+        lacks("a package index", done.stderr.strip()[:300])
     return resolve
 
 

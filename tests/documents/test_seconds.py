@@ -1,5 +1,6 @@
 """`make test` fails if a file takes too much of it."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,8 @@ TESTS = Path(__file__).parents[1]
 
 def test_a_run_with_such_a_file_fails_with_its_name(tmp_path):
     """The others pass; without the option, or without that file, the run passes."""
-    (tmp_path / "conftest.py").write_text('pytest_plugins = ["kit.shares"]\n')
+    short = "def pytest_configure():\n    from kit import shares\n    shares.LOOP = 1000\n"
+    (tmp_path / "conftest.py").write_text(f'pytest_plugins = ["kit.shares"]\n{short}')
     for k in range(20):
         (tmp_path / f"test_{k}.py").write_text("def test(): pass\n")
     slow = tmp_path / "test_slow.py"
@@ -23,6 +25,11 @@ def test_a_run_with_such_a_file_fails_with_its_name(tmp_path):
     status, told = run("--seconds")
     assert status == 1
     assert "21 passed" in told
+    whole, before, after = re.search(
+        r"(\d+) times a loop of Python, .* (\S+) s before and (\S+) s after", told
+    ).groups()
+    assert float(whole) > 0
+    assert 0 <= float(before) + float(after) < 1
     assert "test_slow.py: 1 s, expected at most 1 s, 15 times the mean file" in told
     slow.unlink()
     assert run("--seconds")[0] == 0

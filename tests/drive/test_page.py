@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from kit import shards
 from kit.driven_page import PAD, SECTION, Opened, assert_same_motion, hold
 from kit.mistakes import problem
@@ -79,7 +80,7 @@ def test_same_motion_as_run(opened: Any, name: str, fmi3_dir: Path, tmp_path: Pa
 @pytest.mark.parametrize("name", ["drive", "replay"])
 def test_accessible(opened: Any, name: str, scheme: str) -> None:
     """axe-core finds no violation, while it moves and while it is paused, in light and dark."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    axe = Axe()
     page = opened(name, color_scheme=scheme)
     page.page.evaluate(f"() => {SECTION}.run(false)")
     for moving in (False, True):

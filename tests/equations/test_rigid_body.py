@@ -1,12 +1,15 @@
 """The mechanics of the manipulator's variants against Pinocchio, pendulums, conservation laws, geometry."""
 
 import math
+import sys
 from functools import cache
+from importlib import import_module
 
 import casadi as ca
 import numpy as np
 import pytest
 from kit.equations import Part
+from kit.needs import lacks
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
@@ -81,7 +84,9 @@ def random_state(rng, variant):
 @pytest.fixture(scope="module")
 def pin():
     """Pinocchio, a rigid-body library with algorithms of its own."""
-    return pytest.importorskip("pinocchio", reason="Pinocchio is installed on Linux only")
+    if sys.platform != "linux":
+        lacks("Linux", "Pinocchio is installed there only")
+    return import_module("pinocchio")
 
 
 def arm(pin, p, held=0.0):

@@ -1,8 +1,10 @@
 """A plugin of pytest: where the time of a run goes; `--seconds` fails if a file takes too much of it.
 
 A file may take `MOST` times the mean of all files of the run. So the limit does not depend on the computer.
+Nor does the ratio of all worker-seconds to a loop of Python, by which commits are compared.
 """
 
+import time
 from collections import Counter
 from collections.abc import Generator, Mapping
 from pathlib import Path
@@ -13,12 +15,28 @@ import pytest
 MOST = 15.0  # times the mean file: 4 % of a run of 375 files
 LEAST = 1.0  # s that any file may take, for runs of a few quick ones
 
+LOOP = 3_000_000  # numbers whose squares are added
+loops: list[float] = []  # s that this took before and after the run
+
 building = 0.0  # s that the test which runs has built the machine, or waited for the process that does
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """`make test` asks for it."""
     parser.addoption("--seconds", action="store_true", help="seconds by folder; too slow a file is a failure")
+
+
+def loop() -> float:
+    """Seconds of a loop of Python."""
+    begin = time.perf_counter()
+    sum(i * i for i in range(LOOP))
+    return time.perf_counter() - begin
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Before there are other test processes."""
+    if session.config.getoption("--seconds") and not hasattr(session.config, "workerinput"):
+        loops.append(loop())
 
 
 @pytest.hookimpl(wrapper=True)
@@ -69,7 +87,11 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     folders = Counter({"the machine's build": files.pop("", 0.0)})
     for file, seconds in files.items():
         folders[str(Path(file).parent)] += seconds
-    terminalreporter.section(f"{sum(folders.values()):.0f} worker-seconds")
+    loops.append(loop())
+    whole, each = sum(folders.values()), sum(loops) / len(loops)
+    took = " s before and ".join(f"{seconds:.3f}" for seconds in loops)
+    terminalreporter.section(f"{whole:.0f} worker-seconds")
+    terminalreporter.line(f"{whole / each:.0f} times a loop of Python, which took {took} s after the run")
     for counted, most in ((folders, None), (files, 10)):
         terminalreporter.line("  ".join(f"{n} {s:.0f}" for n, s in counted.most_common(most)))
     for line in too_slow(files).values():

@@ -1,7 +1,6 @@
 """`batch`: results in lanes equal those of single runs, whatever the other machines do; mistakes."""
 
 import re
-import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from importlib import import_module
@@ -15,11 +14,12 @@ from hypothesis import strategies as st
 from kit import shards
 from kit.every import MACHINES
 from kit.mistakes import problem, table
+from kit.needs import needs
 from zoo.faulty import MEMORY, faulty
 
 from benchmarks import sweep
 from orchestrator import Coupling, Interrupted, batch, load, run, with_swaps
-from orchestrator.base.compiler import CompilerError, host
+from orchestrator.base.compiler import CompilerError
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, write_zip
 from orchestrator.lanes import compiled, group
@@ -70,7 +70,7 @@ def test_a_limit_of_time_ends_the_machines_that_are_not_done(built, lanes):
 LOST = {"exec": CLOSED, "take": "uses more than 0.5 GB of memory", "sleep": "not done within 4 s"}
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="faults of POSIX")
+@needs("POSIX", "faults of POSIX")
 @pytest.mark.parametrize("fault", shards.few(["exec"], LOST, shards.faults))
 def test_a_machine_whose_process_is_lost_fails_alone(tmp_path, fault):
     """Also one that takes too much memory or never ends; `rate` 3 commits no fault."""
@@ -390,7 +390,8 @@ def test_the_documented_example_runs(fmu_dir, monkeypatch, capsys):
     assert len(capsys.readouterr().out.split()) == 3
 
 
-@pytest.mark.skipif(host() != "x86_64-linux", reason="reads the flags of the kernel for x86-64")
+@needs("Linux", "reads the flags of its kernel")
+@needs("x86-64")
 def test_code_is_compiled_for_the_best_level_that_the_processor_has(monkeypatch):
     """By the flags of the kernel; no level of x86-64 on another processor."""
     flags = set(re.search(r"flags\s*:(.*)", Path("/proc/cpuinfo").read_text())[1].split())

@@ -1,16 +1,15 @@
 """`MachinesEnv`: what Gymnasium asks of an environment, and the physics of `run`."""
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 from kit.mistakes import problem
 
-gymnasium = pytest.importorskip("gymnasium")
-from gymnasium.utils.env_checker import check_env  # noqa: E402
-from gymnasium.vector import AutoresetMode  # noqa: E402
-from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics  # noqa: E402
-
-from orchestrator.lanes.environment import MachinesEnv  # noqa: E402
-from orchestrator.lanes.machines import Machines  # noqa: E402
+from orchestrator.lanes.environment import MachinesEnv
+from orchestrator.lanes.machines import Machines
 
 COMMANDS = {"swing_command": (-10.0, 10.0), "boom_command": (-10.0, 10.0), "stick_command": (-10.0, 10.0)}
 ANGLES = ["manipulator.swing_angle", "manipulator.boom_angle", "manipulator.stick_angle"]

@@ -1,12 +1,12 @@
 """Fixtures: small FMUs, a station around the one that integrates its input."""
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from kit.any_fmu.models import Workshop
+from kit.needs import needs
 from kit.wait import LONG
 
 from orchestrator.realtime import deadlines
@@ -15,7 +15,7 @@ from orchestrator.realtime.setup import Axis, Setup
 
 DETAILED = {"manipulator": "pendulum_friction", "supply": "engine_pump"}
 DETAILED |= dict.fromkeys(("swing", "boom_stick"), "detailed")
-posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+posix = needs("POSIX", "signals of POSIX")
 
 
 def u(station: RealTimeMachine) -> float:

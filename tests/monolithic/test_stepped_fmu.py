@@ -2,7 +2,6 @@
 
 import gc
 import platform
-import sys
 from contextlib import closing
 from functools import partial
 from itertools import count
@@ -13,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from kit.mistakes import problem
+from kit.needs import needs
 
 from orchestrator import Master, assemble, load, reference, run
 from orchestrator.engine.integration import Integration
@@ -145,7 +145,7 @@ def collected(_phase, _info):
 HOWS = ["round", "flush", "trap"] if platform.machine() in ("x86_64", "AMD64") else ["round"]
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the FMU sees no environment variables of a test there")
+@needs("POSIX", "the FMU sees no environment variables of a test there")
 @pytest.mark.parametrize("how", HOWS)
 def test_an_fmu_changes_rounding_and_traps_for_itself_only(fmu, monkeypatch, request, how):
     """In any function: the bits of a run without it, a warning that names it, and no trap outside of it."""

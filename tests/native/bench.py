@@ -2,9 +2,7 @@
 
 import math
 import os
-import shutil
 import subprocess
-import sys
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +11,8 @@ from pathlib import Path
 
 import fmpy
 import numpy as np
-import pytest
 from kit.compile import compiled
+from kit.needs import needs
 
 from benchmarks.reference import work_cycle
 from fmus.export.compile import HEADERS, PLATFORMS, host
@@ -24,8 +22,7 @@ CODE = Path(__file__).parent / "c"
 STANDARD = ("-std=c99", "-D_XOPEN_SOURCE=700", "-Wall", "-Wextra", "-isystem", str(HEADERS))
 # as for the FMUs: with others the project's compiler makes its Windows libraries anew, for a minute
 OPTIMISED = ("-O3", "-g0", "-s")
-HAS_GCC = sys.platform == "linux" and shutil.which("gcc")
-needs_gcc = pytest.mark.skipif(not HAS_GCC, reason="gcc on Linux is not there")
+needs_gcc = needs("gcc")
 _numbers = count()
 
 

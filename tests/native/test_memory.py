@@ -1,10 +1,10 @@
 """Valgrind: whatever is done with an FMU, no memory is used wrongly or lost."""
 
-import shutil
 from collections.abc import Iterator
 
 import pytest
 from kit import shards
+from kit.needs import needs
 from native.bench import Fmu, begin, drive, look, push
 
 VALGRIND = ("valgrind", "-q", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=all")
@@ -14,7 +14,7 @@ OF_HARVESTER = 20  # instances of the whole machine: the C code around the equat
 
 pytestmark = [
     shards.c,
-    pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed"),
+    needs("valgrind"),
 ]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fmpy import extract, simulate_fmu
 from kit import shards
+from kit.needs import needs
 from native.bench import STANDARD, assert_same, cycle, drive, needs_gcc, numbers, run
 
 from fmus.operator_input.work_cycle import WORK_CYCLE_STOP
@@ -43,7 +44,7 @@ STEP = 1e-3  # s
 TABLE = [("time", float), ("swing_command", float)]
 
 
-@pytest.mark.skipif(not (shutil.which("make") and shutil.which("cc")), reason="needs make and a C compiler")
+@needs("make and cc")
 @pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
 def test_fmpy_builds_the_sources_itself(request, tmp_path, monkeypatch, version):
     """`fmpy compile` builds swing.fmu from its list of sources, in both versions; it runs the same."""

@@ -3,17 +3,17 @@
 import platform
 import shutil
 import subprocess
-import sys
 
 import pytest
 from kit import shards
+from kit.needs import needs
 from native.bench import CODE, STANDARD, begin, drive, look, moves, needs_gcc, run
 
 THREADS = 8
 
 pytestmark = [
     shards.c,
-    pytest.mark.skipif(sys.platform == "win32", reason="the driver has threads of POSIX only"),
+    needs("POSIX", "the driver has threads of POSIX only"),
 ]
 
 

@@ -187,9 +187,10 @@ def test_an_fmu_for_slopes_of_states_only(each, both):
 @pytest.mark.parametrize(("where", "how"), thinned(3, [*WHERE], [DISCARD, FAULT, FATAL]))
 def test_failures_lose_nothing(each, both, where, how):
     """In whatever call, both loops say the same; what was computed stays; states and instances are freed."""
-    if where == "SetSlope" and each.fmi == 3:
-        pytest.skip("FMI 3.0 has no such function")
     outcome = both(circle(each, "failing", when=0.45, how=how, where=WHERE[where]), master=HERMITE)
+    if where == "SetSlope" and each.fmi == 3:  # which has no such function
+        assert outcome.result.complete
+        return
     word = {"DoStep": "the step"}.get(where, f"q: fmi{each.fmi}")
     status = {DISCARD: "discard", FAULT: "error", FATAL: "fatal"}[how]
     assert word in outcome.error

@@ -1,7 +1,6 @@
 """The command line: defaults, one-line errors with exit status 2, records of interrupted runs."""
 
 import json
-import os
 import re
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 import typer
 from kit.fmu import in_new_process
 from kit.mistakes import refused, table
+from kit.needs import needs
 from zoo.command import command
 
 from fmus.export.compile import PLATFORMS
@@ -144,7 +144,7 @@ def test_mistakes_are_one_line_and_status_2(capsys, arguments, message):
     assert message in refused(capsys, arguments.split())
 
 
-@pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
+@needs("POSIX", "sends a POSIX signal")
 def test_ctrl_c_leaves_the_record(fmus, tmp_path):
     """A signal in the middle of a run: exit status 130, the record readable and whole."""
     arguments = ["run", fmus["mass_b"], "--stop", "1e4", "--record-step", "1e-3", "--out", "o.parquet"]

@@ -4,7 +4,6 @@ The FMU of ticks.c refuses an access to a variable whose clock does not tick.
 """
 
 import csv
-import platform
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from kit.any_fmu.models import bank_fmu, ticking_fmu
 from kit.mistakes import problem
+from kit.needs import needs
 from zoo.faulty import faulty
 
 from orchestrator import Coupling, Master, RunFailed, assemble, load, run, write_ssp
@@ -332,7 +332,7 @@ def test_ticks_are_kept_when_the_process_dies(unit, tmp_path):
     np.testing.assert_allclose(ticks(failed.value.result, "unit.tick"), np.arange(1, 6) / 10, atol=ROUNDING)
 
 
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the FMU switches on traps of SSE")
+@needs("x86-64", "the FMU switches on traps of SSE")
 @pytest.mark.parametrize("how", [1, 2])
 def test_traps_that_an_fmu_switches_on_in_an_instant_end_nothing(unit, how):
     """In each call of a clock, of its variables and of event mode; and if getters of these round upwards.

@@ -14,6 +14,7 @@ import scipy.io
 from kit import shards
 from kit.mistakes import problem
 from kit.mistakes import table as table_of
+from kit.needs import needs
 
 from fmus import parameters
 from fmus.identification.recordings.describe import describe
@@ -269,7 +270,7 @@ def test_a_line_that_does_not_end_is_refused(text, tmp_path, monkeypatch):
     assert len(read_trace(tmp_path / "a.csv").time) == 9000
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such files")
+@needs("POSIX", "Windows has no such files")
 def test_a_pipe_is_no_file(tmp_path):
     """Nor is a device, as samples or as their description: it may have no end, or never begin."""
     os.mkfifo(tmp_path / "a.toml")

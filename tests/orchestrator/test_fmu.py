@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from kit.any_fmu.description import packed
 from kit.mistakes import problem, table
+from kit.needs import needs
 
 from orchestrator import Problem
 from orchestrator.base import files as base_files
@@ -65,7 +66,7 @@ def kept(tmp_path, monkeypatch):
     return used
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere none stay")
+@needs("Linux", "elsewhere none stay")
 def test_folders_stay_up_to_64_megabytes(kept):
     """All together, the last ones."""
     assert [kept(f"{k}.zip", f"{k}" * 30_000_000) for k in range(3)] == [1, 2, 2]
@@ -175,11 +176,10 @@ def test_readers_and_writers_use_slices_in_place(each, started):
         compatible_buffer(np.zeros(2, np.float32), 2, ctypes.c_double)
 
 
+@needs("Linux", "looks into /proc")
 def test_instances_leave_nothing_behind(each, opened):
     """Their libraries are unloaded, and none of their files is mapped any more."""
     maps = Path("/proc/self/maps")
-    if not maps.exists():
-        pytest.skip("needs /proc to see what is loaded")
     for _ in range(5):
         opened(each["gain"]).close()
     assert "gain.so" not in maps.read_text()

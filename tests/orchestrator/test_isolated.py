@@ -2,14 +2,13 @@
 
 import multiprocessing
 import os
-import platform
-import sys
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from kit.fmu import in_new_process
 from kit.mistakes import problem
+from kit.needs import needs
 from kit.wait import LONG
 from zoo.faulty import faulty
 
@@ -19,7 +18,7 @@ from orchestrator.engine import run as runs
 from orchestrator.engine.accuracy import AccuracySearch
 from orchestrator.engine.run import run_to_file
 
-posix = pytest.mark.skipif(sys.platform == "win32", reason="faults and limits of POSIX")
+posix = needs("POSIX", "faults and limits of POSIX")
 STEPS = {"step": 0.01, "stop": 1.0}
 
 
@@ -160,7 +159,7 @@ def test_an_fmu_computes_in_its_own_rounding_mode(tmp_path):
 
 
 @posix
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="sets a bit of that processor")
+@needs("x86-64", "sets a bit of that processor")
 def test_small_numbers_are_flushed_to_zero_by_no_fmu(tmp_path):
     """That does not change the rounding mode, so it is found at the end of a block, among all FMUs."""
     flushing, good = faulty(tmp_path, "flush", name="bad").fmu, faulty(tmp_path).fmu
@@ -172,7 +171,7 @@ def test_small_numbers_are_flushed_to_zero_by_no_fmu(tmp_path):
 
 
 @posix
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="sets bits of that processor")
+@needs("x86-64", "sets bits of that processor")
 @pytest.mark.parametrize("phase", ["instantiate", "initialise"])
 def test_traps_that_an_fmu_switches_on_end_no_process(tmp_path, phase):
     """Python goes on after its call, as with the spare instance that `hermite` tries; warnings name it."""
@@ -236,7 +235,7 @@ def test_a_forked_process_has_its_own_process_for_runs(fmus, oscillator):
     assert process() == before
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="misuses of Linux")
+@needs("Linux", "misuses of Linux")
 @pytest.mark.parametrize("fault", ["timers", "files", "daemon", "none"])
 def test_a_process_in_which_an_fmu_left_something_is_not_used_again(tmp_path, fault):
     """Timers, another standard input, a child: they would end or disturb the run of another FMU."""

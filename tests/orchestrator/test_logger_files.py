@@ -11,6 +11,7 @@ import pytest
 from asammdf import MDF, Signal
 from kit.any_fmu.description import packed
 from kit.mistakes import problem
+from kit.needs import needs
 from nptdms import ChannelObject, TdmsWriter
 
 from orchestrator import read_recording, run
@@ -194,7 +195,7 @@ HD, DG, CG = 64, 168, 232  # addresses of a header, a group of data, and one of 
 LOOPS = {"HD": (HD, DG, 0, 0), "DG": (DG, DG, CG, 0), "CG": (DG, 0, CG, CG)}
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="Windows has no limit of time within a process")
+@needs("POSIX", "Windows has no limit of time within a process")
 # asammdf leaves its temporary file open
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("name", LOOPS)

@@ -16,6 +16,7 @@ import psutil
 import pytest
 from kit import shards
 from kit.mistakes import problem, table
+from kit.needs import needs
 from kit.wait import LONG, runs, until
 from zoo.command import command
 
@@ -25,7 +26,7 @@ from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory
 from orchestrator.engine.result import read_metadata
 from orchestrator.engine.time_grid import record_interval
 
-posix = pytest.mark.skipif(sys.platform == "win32", reason="limits and signals of POSIX")
+posix = needs("POSIX", "limits and signals of POSIX")
 WRITER = "orchestrator.data.trace_writer"
 FORMATS = (".csv", ".parquet")
 ENDLESS = ("--stop", "9e3", "--step", "1e-3", "--record-step", "1e-3")
@@ -206,7 +207,7 @@ def _killed(fmu, folder, victims, delay, suffix):
     return run.returncode, error
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+@needs("Linux", "looks into /proc")
 @pytest.mark.parametrize("case", CASES)
 def test_a_kill_leaves_the_earlier_result_and_a_readable_part(fmus, tmp_path, case):
     """SIGKILL of the engine, of the supervisor, or of both, at random moments of a run."""

@@ -13,6 +13,7 @@ from kit.any_fmu.models import RAMP
 from kit.compile import library
 from kit.fmu import in_new_process
 from kit.mistakes import entry
+from kit.needs import needs
 from kit.plain_jacobi import plain_jacobi
 from kit.shards import few, thinned
 
@@ -253,7 +254,7 @@ def test_ctrl_c_is_not_lost_in_the_messages_of_an_fmu(fmus, moving, in_c):
 
 GROWTH = entry(__file__, "growth")
 LONG_RUNS = [{"master": "jacobi"}, {"master": "hermite", "passes": 2}, {"master": "gauss-seidel", "order": 2}]
-on_linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
+on_linux = needs("Linux", "looks into /proc")
 
 
 def grown(system, coupling, steps, rows=10):

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -10,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from kit.mistakes import problem, table
+from kit.needs import needs
 
 from orchestrator import Coupling, Interrupted, Master, RunFailed, read_trace, run, write_ssp
 from orchestrator.__main__ import main
@@ -87,7 +87,7 @@ def waits():
         pass
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a signal wakes no call there")
+@needs("POSIX", "a signal wakes no call there")
 @pytest.mark.parametrize("hang", [spins, sleeps, waits])
 @pytest.mark.parametrize("options", [{}, {"isolate": False}, {"master": True}], ids=str)
 def test_the_first_interrupt_ends_a_function_that_hangs(oscillator, whole, hang, options):
@@ -234,7 +234,7 @@ def test_a_signal_is_handled_at_once_in_a_function_of_the_user():
     assert handled == 2 * ["nested", "after it"]
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no such signal")
+@needs("POSIX", "Windows has no such signal")
 def test_only_signals_that_python_handles_wait():
     """The way in which a command ends when its terminal closes is among them."""
 

@@ -19,6 +19,7 @@ from kit.any_fmu.edit import edited, renamed
 from kit.compile import WARNINGS, compiled
 from kit.fmu import Fmu, in_new_process
 from kit.mistakes import table
+from kit.needs import lacks, needs
 
 from fmus.export.compile import PLATFORMS, host
 from fmus.export.python.build import build_user
@@ -79,7 +80,7 @@ def test_check_finds_nothing_but_python(tmp_path, run):
     assert "needs Python on the target" in found["python.needed"]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the program is written for Linux")
+@needs("Linux", "the program is written for Linux")
 def test_a_program_without_python_runs_it(tmp_path):
     """A program in C loads the library and runs the FMU twice, or gets a message about what is missing."""
     host = Path(__file__).with_name("host.c")
@@ -94,7 +95,7 @@ def test_a_program_without_python_runs_it(tmp_path):
 
     here = Path(sysconfig.get_config_var("LIBDIR"), sysconfig.get_config_var("INSTSONAME"))
     if not here.is_file() or here.suffix == ".a":
-        pytest.skip("this Python is no shared library")
+        lacks("a Python that is a shared library")
     missing = run(FMU_PYTHON=str(here), PYTHONHOME=sys.base_prefix)
     assert "logStatusError: lag needs the package harvester-cosim" in missing
     path = ":".join(p for p in sys.path if p)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.mistakes import table as table_of
+from kit.needs import lacks, needs
 from kit.wait import LONG, runs, until
 from lxml import etree
 
@@ -27,7 +28,7 @@ SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 def program(tmp_path, monkeypatch):
     """Makes a program of a few lines of Python, and finds it on the search path."""
     if os.name == "nt":
-        pytest.skip("Windows starts no scripts by their first line")
+        lacks("POSIX", "Windows starts no scripts by their first line")
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
     Tool.presence.cache_clear()  # of a program of the same name
 
@@ -297,7 +298,7 @@ def test_a_program_that_cannot_be_started_fails(tmp_path):
     assert ended.reason == ended.err != ""
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="no /proc")
+@needs("Linux", "looks into /proc")
 @pytest.mark.parametrize("end", shards.few([""], ["time.sleep(600)", ""], shards.faults))
 def test_a_job_leaves_no_process_behind(program, tmp_path, end):
     """What it has started ends with it, and would else disturb the times of the next job."""

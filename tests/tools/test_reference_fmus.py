@@ -8,7 +8,6 @@ REFERENCE_FMUS=/path/to/Reference-FMUs.
 """
 
 import csv
-import os
 import re
 from math import sqrt
 from pathlib import Path
@@ -17,13 +16,13 @@ import numpy as np
 import pytest
 from kit.any_fmu.description import member, packed
 from kit.mistakes import problem
+from kit.needs import REFERENCE_FMUS, needs
 from scipy.integrate import solve_ivp
 
 from orchestrator import load, reference, run
 from orchestrator.base.compiler import PLATFORMS, SUFFIX, host, shared_library
 
-ROOT = Path(os.environ.get("REFERENCE_FMUS", "/none"))
-pytestmark = pytest.mark.skipif(not ROOT.is_dir(), reason="REFERENCE_FMUS names no folder with their sources")
+pytestmark = needs("Reference-FMUs", "REFERENCE_FMUS names no folder with their sources")
 WORDS = {"true": "1", "false": "0"}
 MODELS = ["BouncingBall", "Dahlquist", "Feedthrough", "Resource", "Stair", "VanDerPol"]
 
@@ -35,14 +34,14 @@ def built(model: str, version: int, folder: Path, without: str = "") -> Path:
     parts = [f"fmi{version}Functions.c", "model.c", "cosimulation.c"]
     code = f"#define FMI_VERSION {version}\n" + "".join(f'#include "{name}"\n' for name in parts)
     flags = ["-target", PLATFORMS[host()].target, "-O1", "-shared", "-fPIC", "-w", "-std=c99", "all.c", "-lm"]
-    flags += [f"-I{ROOT / place}" for place in (model, "include", "src")]
+    flags += [f"-I{REFERENCE_FMUS / place}" for place in (model, "include", "src")]
     flags += [f"-DFMI{version}_OVERRIDE_FUNCTION_PREFIX", "-DDISABLE_PREFIX", "-D_GNU_SOURCE"]
     library = shared_library(f"{model}{version}{SUFFIX}", {"all.c": code.encode()}, flags)
-    xml = (ROOT / model / f"FMI{version}.xml").read_text("utf-8")
+    xml = (REFERENCE_FMUS / model / f"FMI{version}.xml").read_text("utf-8")
     kind = rf"<{without}\b[^>]*?(/>|>.*?</{without}>)" if without else "(?!)"
     files = {"modelDescription.xml": re.sub(kind, "", xml, flags=re.DOTALL)}
     files |= {member(version, model): library.read_bytes()}
-    if (text := ROOT / model / "y.txt").exists():
+    if (text := REFERENCE_FMUS / model / "y.txt").exists():
         files["resources/y.txt"] = text.read_bytes()
     return packed(folder / "r.fmu", files)
 
@@ -81,7 +80,7 @@ SOLVED = {  # model -> values over time of the columns that it ships
 
 def shipped(model: str) -> tuple[list[str], list[list[str]], list[float]]:
     """Names of the columns, rows, and times [s]."""
-    names, *rows = csv.reader((ROOT / model / f"{model}_out.csv").read_text("utf-8").splitlines())
+    names, *rows = csv.reader((REFERENCE_FMUS / model / f"{model}_out.csv").read_text("utf-8").splitlines())
     return names, rows, [float(row[0]) for row in rows]
 
 

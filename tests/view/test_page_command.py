@@ -5,7 +5,6 @@ import json
 import os
 import re
 import signal
-import sys
 import zipfile
 from functools import partial
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 from kit.mistakes import refused, table
+from kit.needs import needs
 from kit.wait import LONG
 from view.standin import URL, started
 from websockets.exceptions import ConnectionClosed
@@ -29,7 +29,7 @@ NONSENSE = (
 opened = partial(connect, compression=None, open_timeout=LONG, ping_timeout=None)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="an interrupt of one process cannot be sent there")
+@needs("POSIX", "an interrupt of one process cannot be sent there")
 def test_begins_and_ends(fmu_dir: Path, tmp_path: Path) -> None:
     """It tells its address, serves there, drops nonsense, and ends by an interrupt without a traceback."""
     with started(fmu_dir, tmp_path, *POSED) as (child, said):
@@ -55,7 +55,7 @@ def talk_nonsense(url: str) -> None:
             assert socket.ping(ack_on_close=True).wait(LONG)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="an interrupt of one process cannot be sent there")
+@needs("POSIX", "an interrupt of one process cannot be sent there")
 def test_other_hosts_need_the_token(fmu_dir: Path, tmp_path: Path) -> None:
     """Where others could reach it, the page opens with the token of the address and not without; where nobody
     talked nonsense, its end is all that it reports."""

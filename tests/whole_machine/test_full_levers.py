@@ -134,7 +134,6 @@ def test_energies_of_machines_with_steps_of_their_own_are_those_of_runs(today):
 @shards.machine
 def test_an_environment_tells_and_truncates(today):
     """In `info`, for the machines with full levers only; by option the episode ends. A start forgets it."""
-    pytest.importorskip("gymnasium")
     limits = {name: (-10.0, 10.0) for name in LEVERS}
     full, rest = np.array(list(LEVERS.values())), np.zeros(3)
 

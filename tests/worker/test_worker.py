@@ -3,7 +3,6 @@
 import io
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.needs import needs
 from kit.wait import LONG, runs, until
 from numpy.typing import NDArray
 
@@ -27,7 +27,7 @@ from orchestrator.worker.process import CLOSED, GARBLED, Worker
 from orchestrator.worker.wire import Garbled, packed, read_message
 
 CONTENTS = {"echo": Any, "said": str}
-linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked at in /proc")
+linux = needs("Linux", "processes are looked at in /proc")
 
 
 @pytest.fixture(autouse=True)
@@ -103,7 +103,7 @@ def test_a_worker_that_nobody_knows_ends():
         os.kill(pid, 0)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no process sends SIGINT to itself")
+@needs("POSIX", "no process sends SIGINT to itself")
 def test_an_interrupt_while_a_forgotten_worker_ends_is_raised_after_it():
     """The garbage collector would print it with a traceback, and lose it."""
     workers = [Worker("jobs:sleep", dict, grace=0.5)]

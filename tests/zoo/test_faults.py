@@ -1,6 +1,5 @@
 """FMUs with faults, in each command: one line, all rows until then, and nothing is left."""
 
-import sys
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from kit import shards
+from kit.needs import needs
 from kit.wait import LONG, runs, until
 
 from orchestrator import Problem
@@ -19,7 +19,7 @@ from orchestrator.realtime.setup import Axis, Setup
 from zoo.command import Ended, command
 from zoo.faulty import BEGIN, CASES, CAUSES, FAULTS, HANGS, MEMORY, PHASES, Faulty, faulty, study, two_lags
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="faults and signals of POSIX")
+pytestmark = needs("POSIX", "faults and signals of POSIX")
 STEP, STOP = 0.01, 1.0  # [s]
 LIMIT = 1.5  # [s]; the fault is committed after a tenth of it
 QUICK = [("segfault", "step", 2, False), ("spin", "step", 3, True), ("exit_0", "instantiate", 3, True)]

@@ -1,16 +1,16 @@
 """FMUs that do what no FMU may, through every command; the table in docs/run.md says how each ends."""
 
 import random
-import sys
 from pathlib import Path
 
 import pytest
 from kit import shards
+from kit.needs import needs
 
 from benchmarks.hostile import COMMANDS, MOST_DELAY, SEED, play
 from zoo.faulty import MISUSES
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="misuses and signals of Linux")
+pytestmark = needs("Linux", "misuses and signals of Linux")
 PAGE = Path(__file__).parents[2] / "docs/run.md"
 CASES = [(misuse, name) for misuse in MISUSES for name in COMMANDS]
 # `check` allows a call a time, in which a fast computer takes 2 GB, and a slow disk does not make the folders
