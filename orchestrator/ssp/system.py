@@ -519,8 +519,8 @@ class System:
                 if port in connected:
                     replaced.append(connected[port])
         notes = tuple(f"{c.target} is set, which replaces its connection from {c.source}" for c in replaced)
-        kept = tuple(c for c in self.connections if c not in replaced)
-        system = replace(self.started(start, origin), connections=kept, notes=self.notes + notes)
+        system = self.started(start, origin).noted(*notes)  # where sizes change, with other connections
+        system = replace(system, connections=tuple(c for c in system.connections if c not in replaced))
         for component in system.components.values():
             for name, value in component.start.items():
                 where = f"{self.source or self.name}: {component.name}.{name}"
