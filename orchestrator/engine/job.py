@@ -158,6 +158,7 @@ class Job:
             *built_notes(system),
             *system.differences(system.common),
             *system.without_effect([*set_values, *columns]),
+            *system.without_ticks(),
         )
         driving = None if trace is None else drive(system, trace, label)
         if driving:

@@ -241,6 +241,11 @@ class FmuVariable(Entry):
     def clocked(self) -> bool:
         return bool(self.get("clocks")) or self.type == "Clock"
 
+    @property
+    def is_triggered_input(self) -> bool:
+        """Is it a clock that ticks with the one that is connected to it?"""
+        return self.causality == "input" and self.get("intervalVariability") == "triggered"
+
     def fraction(self, name: str) -> Fraction | None:
         """`interval` or `shift` of a clock [s], exactly as it is declared; None if it is not.
 

@@ -416,6 +416,20 @@ class System:
         idle = [n for n in names if n in self.inputs and not self.inputs[n].targets and not self.passed(n)]
         return tuple(f"{name} has no effect: this input of the system feeds nothing" for name in idle)
 
+    def without_ticks(self) -> Iterator[str]:
+        """Notes on connected variables whose clocks are all triggered ones that nothing is connected to."""
+        fed = self.fed
+        for port in dict.fromkeys([*fed, *(c.source for c in self.connections)]):
+            clocks = [
+                Port(port.component, v.name)
+                for v in self.components[port.component].interface.variables.values()
+                if v.kind == "Clock" and v.reference in self.variable(port).clocks
+            ]
+            idle = [c for c in clocks if c not in fed and self.variable(c).is_triggered_input]
+            if clocks and idle == clocks:
+                names, never = first_names(map(str, clocks)), "never ticks, because nothing is connected to it"
+                yield f"{port} keeps its start value: its clock {names} {never}"
+
     def start_of(self, inlet: Inlet) -> Value | None:
         """The start value of an input of the system, if need be from the first input that it feeds."""
         for port, linear in inlet.targets[:1] if inlet.start is None else ():
@@ -700,9 +714,13 @@ WIDER = {
 
 
 def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
-    """A connection; raises Problem if causalities or types do not fit."""
+    """A connection; raises Problem if causalities or types do not fit.
+
+    A clock that ticks by time may be the source of another FMU's (FMI-LS-BUS: transmit clocks), an input, too.
+    """
     connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
-    if y.causality not in SOURCES or u.causality not in TARGETS:
+    transmits = y.kind == u.kind == "Clock" and y.get("intervalVariability") != "triggered"
+    if not (y.causality in SOURCES or (transmits and y.causality == "input")) or u.causality not in TARGETS:
         raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
     items = u.kind == "Enumeration" and y.value_type == "Boolean"
     if items or u.value_type not in WIDER.get(y.value_type, ()):
