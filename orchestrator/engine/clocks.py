@@ -1,66 +1,26 @@
 """Clocks of FMI 3.0 for Co-Simulation: which tick in an instant, and the variables that belong to them.
 
 Tick k of a periodic clock is at start + shift + k interval, in fractions of the numbers of the FMU: clocks
-meet exactly and none drifts. Clocks that are due within the tolerance of an instant tick together. A triggered
-input clock ticks with the clock that is connected to it, before discrete states are updated. Variables of a
-clock are set and read only while it ticks, sources before the inputs that they feed, the inputs of an FMU
-before its outputs; in between others see their last values.
+meet exactly and none drifts. Clocks that are due within the tolerance of an instant tick together. A
+triggered input clock ticks with the clock that is connected to it, before discrete states are updated.
+Variables of a clock are set and read only while it ticks, sources before the inputs that they feed, the
+inputs of an FMU before its outputs; in between others see their last values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from fractions import Fraction
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from orchestrator.base.errors import Problem
 from orchestrator.base.text import grouped
 from orchestrator.engine.network import Network
-from orchestrator.fmi.cosimulation import APERIODIC, CHANGED, UNKNOWN, RunningFmu
-from orchestrator.fmi.description import FmuVariable
+from orchestrator.fmi.clocks import Schedule
+from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled
 from orchestrator.ssp.dependencies import strongly_connected
 from orchestrator.ssp.system import Port
-
-
-@dataclass(eq=False)
-class Timed:
-    """An input clock that ticks by time.
-
-    interval, next   its interval and its next tick [s], exact; None: not known
-    time             of the next tick [s]; infinite if it is not known
-    """
-
-    port: Port
-    slave: RunningFmu
-    clock: FmuVariable
-    interval: Fraction | None = None
-    next: Fraction | None = None
-    time: float = np.inf
-
-    def schedule(self, tick: Fraction | None) -> None:
-        """Set its next tick [s]."""
-        self.next, self.time = tick, np.inf if tick is None else float(tick)
-
-    def follows(self, first: Fraction) -> float:
-        """Time from another tick to its next one [s]."""
-        return 0.0 if self.next == first else np.inf if self.next is None else float(self.next - first)
-
-    @property
-    def kind(self) -> str:
-        """The variability of its interval."""
-        return self.clock.get("intervalVariability")
-
-    def is_asked(self, ticked: bool) -> bool:
-        """Is the FMU asked for its interval after an instant? A declared one may change after a tick only."""
-        if self.kind == "changing":
-            return ticked or self.next is None
-        is_open = self.kind == "tunable" and (ticked or self.clock.fraction("interval") is None)
-        return is_open or self.kind == "countdown"
 
 
 @dataclass
@@ -81,8 +41,10 @@ class Clocks:
     """The clocks of a run."""
 
     def __init__(self, network: Network, start: float) -> None:
-        self._network, self._start, system = network, Fraction(repr(start)), network.system
-        self._timed, self._variables = list[Timed](), dict[Port, set[Port]]()  # variable -> its clocks
+        self._network, self._schedule, system = network, Schedule(start), network.system
+        self.finish, self.saved = self._schedule.finish, self._schedule.saved
+        self.resume = self._schedule.resume
+        self._variables = dict[Port, set[Port]]()  # variable -> its clocks
         self.pending, self._active = set[Port](), set[Port]()
         self._wires = grouped(
             [c for c in system.connections if system.variable(c.source).kind == "Clock"], lambda c: c.source
@@ -103,11 +65,9 @@ class Clocks:
                 if needed or v.causality == "output" or own in network.held_values:
                     self._variables[own] = {own_clocks[r] for r in v.clocks if r in own_clocks}
             for port in own_clocks.values():
-                clock, slave = system.variable(port), network.slaves[name]
+                clock = system.variable(port)
                 clocks += [port] if clock.causality in ("input", "output") else []
-                if clock.causality == "input" and clock.get("intervalVariability") != "triggered":
-                    assert isinstance(slave, RunningFmu)
-                    self._timed.append(self._begun(port, slave, clock))
+                self._schedule.add(port, self._slave(port).clocks, clock)
         self._circular = False
         self._stages = self._staged(self._levels([*clocks, *self._variables]))
         self._joined = dict[tuple[Any, ...], Any]()
@@ -188,55 +148,16 @@ class Clocks:
     def _read_text(self, port: Port) -> None:
         self._network.store(port, self._network.slaves[port.component].get(port.variable), ticks=True)
 
-    def _begun(self, port: Port, slave: RunningFmu, clock: FmuVariable) -> Timed:
-        """A clock with its first tick; an aperiodic one may tell it later."""
-        begun = Timed(port, slave, clock)
-        interval, shift = slave.first_ticks.get(clock.name, (None, Fraction(0)))
-        if interval is None and begun.kind not in APERIODIC:
-            interval, shift = clock.fraction("interval"), clock.fraction("shift") or shift
-        if interval is not None:
-            self._set_interval(begun, interval)
-            begun.schedule(self._start + shift)
-        return begun
-
-    def _set_interval(self, c: Timed, interval: Fraction) -> None:
-        if interval < 0 or (interval == 0 and c.kind not in APERIODIC):
-            least = "0 s or more" if c.kind in APERIODIC else "above 0 s"
-            raise Problem(f"{c.port}: expected an interval {least}, got {float(interval):.9g} s")
-        c.interval = interval
-
     @property
     def next(self) -> float:
         """Time of the next tick [s]; infinite if there is none."""
-        return min((c.time for c in self._timed), default=np.inf)
+        return self._schedule.next
 
     def begin(self, t: float, tolerance: float) -> list[Port]:
-        """The clocks that are due first at a time [s], and those due with them, are to tick.
-
-        Only the tick of the first one counts, not the time, which may be that of a communication point.
-        """
-        near = [c for c in self._timed if c.time <= t + 2 * tolerance]
-        first = min((c.next for c in near if c.next is not None and c.time <= t + tolerance), default=None)
-        self._now = Fraction(t) if first is None else first
-        self._due = [c for c in near if first is not None and c.follows(first) <= tolerance]
-        self.pending = {c.port for c in self._due}
-        return [c.port for c in self._due]
-
-    def finish(self) -> None:
-        """After an instant: when do its clocks tick next?"""
-        for c in self._timed:
-            ticked, goes_on, changed = c in self._due, c.kind != "countdown", False
-            if c.is_asked(ticked):
-                qualifier, interval = c.slave.interval(c.clock)
-                goes_on = goes_on and not (c.kind == "changing" and qualifier == UNKNOWN)
-                changed = qualifier == CHANGED and (c.kind != "tunable" or interval != c.interval)
-                if changed:
-                    self._set_interval(c, interval)
-            if c.interval is not None and (changed or (ticked and goes_on)):
-                now = c.next if ticked and c.next is not None else self._now
-                c.schedule(now + c.interval)  # a new interval begins now
-            elif ticked:
-                c.schedule(None)
+        """The clocks that are due at a time [s], see `Schedule.begin`, are to tick."""
+        due: list[Port] = self._schedule.begin(t, tolerance)
+        self.pending = {*due}
+        return due
 
     def propagate(self) -> list[str]:
         """Let clocks tick until no other one does, with their variables; returns the names of the clocks."""
@@ -247,12 +168,12 @@ class Clocks:
             before = self._values() if self._circular else ()
             for k, stage in enumerate(self._stages):
                 for port in sorted(self.pending & stage.inputs):
-                    self._slave(port).tick(port.variable)
+                    self._slave(port).clocks.tick(self._network.system.variable(port))
                     self._add(port, ticked)
                 if self._active and stage.programs:
                     self._network.binding.run(self._program(k))
                 for port in stage.outputs:
-                    if port not in self._active and self._slave(port).ticks(port.variable):
+                    if port not in self._active and self._ticks(port):
                         self._add(port, ticked)
             if not self.pending and (not self._active or before == (self._values() if before else ())):
                 return [*map(str, ticked)]
@@ -265,6 +186,10 @@ class Clocks:
         ticked.append(port)
         self._active.add(port)
         self.pending = (self.pending | {c.target for c in self._wires.get(port, ())}) - self._active
+
+    def _ticks(self, port: Port) -> bool:
+        """Does an output clock tick?"""
+        return self._slave(port).clocks.ticks(self._network.system.variable(port))
 
     def _slave(self, port: Port) -> RunningFmu:
         slave = self._network.slaves[port.component]
@@ -282,13 +207,3 @@ class Clocks:
     def _values(self) -> tuple[bytes, bytes, dict[Port, str]]:
         network = self._network
         return network.reals.values.tobytes(), network.integers.values.tobytes(), {**network.texts.last}
-
-    def saved(self) -> list[Any]:
-        """Intervals and next ticks, for a saved run."""
-        return [[str(c.interval), str(c.next)] for c in self._timed]
-
-    def resume(self, saved: list[Any]) -> None:
-        """Go on from a saved run."""
-        for c, texts in zip(self._timed, saved, strict=True):
-            c.interval, tick = (None if text == "None" else Fraction(text) for text in texts)
-            c.schedule(tick)

@@ -427,7 +427,10 @@ class System:
             ]
             idle = [c for c in clocks if c not in fed and self.variable(c).is_triggered_input]
             if clocks and idle == clocks:
-                names, never = first_names(map(str, clocks)), "never ticks, because nothing is connected to it"
+                names, never = (
+                    first_names(map(str, clocks)),
+                    "never ticks, because nothing is connected to it",
+                )
                 yield f"{port} keeps its start value: its clock {names} {never}"
 
     def start_of(self, inlet: Inlet) -> Value | None:
@@ -716,7 +719,7 @@ WIDER = {
 def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
     """A connection; raises Problem if causalities or types do not fit.
 
-    A clock that ticks by time may be the source of another FMU's (FMI-LS-BUS: transmit clocks), an input, too.
+    A clock that ticks by time may be the source of another one, though an input (FMI-LS-BUS: transmit clocks).
     """
     connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
     transmits = y.kind == u.kind == "Clock" and y.get("intervalVariability") != "triggered"
@@ -725,7 +728,7 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
     items = u.kind == "Enumeration" and y.value_type == "Boolean"
     if items or u.value_type not in WIDER.get(y.value_type, ()):
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
-    if u.kind == "Clock" and u.get("intervalVariability") != "triggered":
+    if u.kind == "Clock" and not u.is_triggered_input:
         got = f"{u.get('intervalVariability')} {target}, which ticks by time"
         raise Problem(f"{connection}: expected a triggered clock at the end, got the {got}")
     check_map(str(connection), u, linear)

@@ -216,9 +216,7 @@ def _sides(s: System, types: Collection[str]) -> dict[str, tuple[list[Port], lis
     return sides
 
 
-def _connectors(
-    s: System, places: Places, types: Collection[str]
-) -> Iterator[tuple[str, list[Connector]]]:
+def _connectors(s: System, places: Places, types: Collection[str]) -> Iterator[tuple[str, list[Connector]]]:
     """The connectors of the system, "", and of its components, from top to bottom on either side."""
     for owner, sides in _sides(s, types).items():
         connectors = list[Connector]()

@@ -6,7 +6,6 @@ The FMU of ticks.c refuses an access to a variable whose clock does not tick.
 import csv
 import platform
 from fractions import Fraction
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +14,10 @@ from kit.mistakes import problem
 from zoo.faulty import faulty
 
 from orchestrator import Coupling, Master, RunFailed, assemble, load, run, write_ssp
-from orchestrator.engine.clocks import Clocks, Timed
 from orchestrator.engine.network import Texts
 from orchestrator.engine.result import Card, Event, write_events
+from orchestrator.fmi.clocks import ClockCalls, Schedule
+from orchestrator.fmi.description import FmuVariable
 from orchestrator.ssp.system import Port
 
 DECIMAL = 'intervalVariability="constant" intervalDecimal="{}"'
@@ -117,15 +117,14 @@ def test_intervals_that_change(unit):
 def test_a_million_ticks_do_not_drift():
     """Tick k is exactly at shift + k interval, in the last fifty thousand, its time the nearest float."""
     shift, interval = Fraction(1, 7), Fraction(1, 3000)
-    kind = SimpleNamespace(get={"intervalVariability": "constant"}.get)
-    clocks, clock = object.__new__(Clocks), Timed(Port("unit", "tick"), None, kind, interval)
-    clocks._timed = [clock]
-    clock.schedule(shift + 950_000 * interval)
+    schedule, constant = Schedule(0.0), {"intervalVariability": "constant", "intervalDecimal": "1"}
+    schedule.add("tick", ClockCalls(None, "unit"), FmuVariable(name="tick", causality="input", attributes=constant))
+    schedule.resume([[str(interval), str(shift + 950_000 * interval)]])
     for _ in range(50_000):
-        clocks.begin(clocks.next, 1e-11)
-        clocks.finish()
-    assert clock.next == shift + 1_000_000 * interval
-    assert clock.time == float(clock.next)
+        schedule.begin(schedule.next, 1e-11)
+        schedule.finish()
+    assert schedule.saved() == [[str(interval), str(shift + 1_000_000 * interval)]]
+    assert schedule.next == float(shift + 1_000_000 * interval)
 
 
 FRACTIONS = 'intervalVariability="{}" supportsFraction="true"'

@@ -122,7 +122,9 @@ def _continue(trial: Trial, simulation: Simulation, saved: Any, fresh: bool) -> 
     """Rows after the saved state; `fresh`: it is restored right after instantiation."""
     if fresh and trial.kind == "ModelExchange":
         simulation.integrator = Integrator(simulation.instance, trial.description)
-    if not fresh:
+    if fresh:
+        simulation.prepare_events()
+    else:
         simulation.begin()
     simulation.initial_inputs = np.array(saved["initial_inputs"])
     state = simulation.instance.deserialize(saved["data"])
