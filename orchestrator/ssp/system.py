@@ -283,8 +283,10 @@ class System:
                 found = self.components[component].interface.arrays.get(variable)
                 if found:
                     return found.shape, [Port(component, element) for element in found.elements]
-        alone = [c for c in self.components if len(self.components) == 1 and "." not in name]
-        return self.array(f"{alone[0]}.{name}") if alone and "." not in name else None
+        alone = [
+            n for n, c in self.components.items() if len(self.components) == 1 and name in c.interface.arrays
+        ]
+        return self.array(f"{alone[0]}.{name}") if alone else None
 
     def pairs(self, source: str, target: str) -> list[tuple[Port, Port]] | None:
         """The elements that a connection of two arrays connects; None if neither end is one."""
@@ -427,11 +429,8 @@ class System:
             ]
             idle = [c for c in clocks if c not in fed and self.variable(c).is_triggered_input]
             if clocks and idle == clocks:
-                names, never = (
-                    first_names(map(str, clocks)),
-                    "never ticks, because nothing is connected to it",
-                )
-                yield f"{port} keeps its start value: its clock {names} {never}"
+                never = f"its clock {clocks[0]} never ticks, because nothing is connected to it"
+                yield f"{port} keeps its start value: {never}"
 
     def start_of(self, inlet: Inlet) -> Value | None:
         """The start value of an input of the system, if need be from the first input that it feeds."""
@@ -719,7 +718,7 @@ WIDER = {
 def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
     """A connection; raises Problem if causalities or types do not fit.
 
-    A clock that ticks by time may be the source of another one, though an input (FMI-LS-BUS: transmit clocks).
+    A clock that ticks by time may be the source of another one, though an input (FMI-LS-BUS).
     """
     connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
     transmits = y.kind == u.kind == "Clock" and y.get("intervalVariability") != "triggered"
