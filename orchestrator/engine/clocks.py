@@ -9,15 +9,16 @@ inputs of an FMU before its outputs; in between others see their last values.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 from orchestrator.base.text import grouped
 from orchestrator.engine.network import Network
-from orchestrator.fmi.clocks import Schedule
+from orchestrator.fmi.clocks import ClockCalls, Schedule
 from orchestrator.fmi.cosimulation import RunningFmu
+from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled
 from orchestrator.ssp.dependencies import strongly_connected
 from orchestrator.ssp.system import Port
@@ -41,16 +42,17 @@ class Clocks:
     """The clocks of a run."""
 
     def __init__(self, network: Network, start: float) -> None:
-        self._network, self._schedule, system = network, Schedule(start), network.system
-        self.finish, self.saved = self._schedule.finish, self._schedule.saved
-        self.resume = self._schedule.resume
+        self._network, self._schedule, system = network, (schedule := Schedule(start)), network.system
+        self.finish, self.saved, self.resume = schedule.finish, schedule.saved, schedule.resume
         self._variables = dict[Port, set[Port]]()  # variable -> its clocks
+        self._calls = dict[Port, tuple[ClockCalls, FmuVariable]]()  # of clocks
+        self._given = dict[Port, Any]()  # input -> what it was set to in this instant
         self.pending, self._active = set[Port](), set[Port]()
         self._wires = grouped(
             [c for c in system.connections if system.variable(c.source).kind == "Clock"], lambda c: c.source
         )
         self._sources = {c.target: c.source for c in system.connections}
-        recorded, clocks = {*network.reals.index, *network.integers.index}, list[Port]()
+        recorded = {*network.reals.index, *network.integers.index}
         for name, component in system.components.items():
             of_component = component.interface.variables.values()
             own_clocks = {v.reference: Port(name, v.name) for v in of_component if v.kind == "Clock"}
@@ -64,12 +66,14 @@ class Clocks:
                 needed = own in recorded and v.causality != "input"
                 if needed or v.causality == "output" or own in network.held_values:
                     self._variables[own] = {own_clocks[r] for r in v.clocks if r in own_clocks}
+            slave = network.slaves[name]
+            assert isinstance(slave, RunningFmu)
             for port in own_clocks.values():
-                clock = system.variable(port)
-                clocks += [port] if clock.causality in ("input", "output") else []
-                self._schedule.add(port, self._slave(port).clocks, clock)
+                if (clock := system.variable(port)).causality in ("input", "output"):
+                    self._calls[port] = slave.clocks, clock
+                    schedule.add(port, slave.clocks, clock)
         self._circular = False
-        self._stages = self._staged(self._levels([*clocks, *self._variables]))
+        self._stages = self._staged(self._levels([*self._calls, *self._variables]))
         self._joined = dict[tuple[Any, ...], Any]()
 
     def _is_input(self, port: Port) -> bool:
@@ -91,12 +95,22 @@ class Clocks:
                     direct = components[p.component].interface.direct_inputs(p.variable)
                     known = [u for u in inputs.get(p.component, ()) if u.variable in direct]
                     after[p] = self._before(p, known) & {*ports}
-                parts = strongly_connected({p: after[p] & {*group} for p in group})
-                self._circular |= len(parts) < len(group)
-                group = [p for part in parts for p in part]
+                group, parts = [], strongly_connected({p: after[p] & {*group} for p in group})
+                for part in parts:
+                    group += self._opened(part, after)
             for p in group:
                 level[p] = 1 + max((level.get(q, -1) for q in after[p]), default=-1)
         return [[p for p in ports if level[p] == k] for k in range(max(level.values(), default=-1) + 1)]
+
+    def _opened(self, part: list[Port], after: dict[Port, set[Port]]) -> list[Port]:
+        """Ports that depend on each other in an order: FMU by FMU, inputs before outputs."""
+        if len(part) > 1:
+            self._circular = True
+            place = {p: (p.component, not self._is_input(p), p in self._variables) for p in part}
+            part.sort(key=lambda p: place[p])
+            for p in part:
+                after[p] = after[p] - {*part} | {q for q in part if place[q] < place[p]}
+        return part
 
     def _before(self, port: Port, inputs: Iterable[Port]) -> set[Port]:
         """What a clock or a variable depends on; inputs: of its FMU, on which an output depends.
@@ -113,37 +127,44 @@ class Clocks:
         """The stages of an instant: as few as clocks allow that tick with others, which are asked before."""
         stages = [Stage()]
         for ports in levels:
-            ticking = {p for p in ports if p not in self._variables and self._is_input(p)}
+            clocks = [p for p in ports if p in self._calls]
+            ticking = {*filter(self._is_input, clocks)}
             if stages[-1].outputs or ticking & {*self._sources}:
                 stages.append(Stage())
             stages[-1].inputs |= ticking
-            stages[-1].outputs += [p for p in ports if p not in self._variables and p not in ticking]
+            stages[-1].outputs += [p for p in clocks if p not in ticking]
             variables = [p for p in ports if p in self._variables]
             of = grouped(variables, lambda p: (not self._is_input(p), *sorted(self._variables[p])))
-            stages[-1].programs += [
-                ({*clocks}, (self._reads if reads else self._sets)(same))
-                for (reads, *clocks), same in sorted(of.items())
-            ]
+            for (reads, *own), same in sorted(of.items()):
+                stages[-1].programs.append(({*own}, self._program_of(same, bool(reads))))
         return stages
 
-    def _sets(self, ports: list[Port]) -> Any:
-        """The program that sets inputs from their sources."""
+    def _program_of(self, ports: list[Port], reads: bool) -> Any:
+        """The program that reads variables, or sets inputs from their sources."""
         network, texts = self._network, [p for p in ports if not self._network.system.variable(p).is_number]
-        calls = network.copies([c for c in network.connections if c.target in ports])
-        calls += network.set_calls({*ports})
-        return network.binding.program([*calls, *(partial(self._set_text, p) for p in texts)])
+        calls: list[Any] = [*(network.get_calls if reads else network.set_calls)({*ports})]
+        if calls and not reads:
+            if self._circular:
+                calls = [
+                    partial(self._set_numbers, network.together(ports[0]), network.binding.program(calls))
+                ]
+            calls = [*network.copies([c for c in network.connections if c.target in ports]), *calls]
+        texts_of = self._read_text if reads else self._set_text
+        return network.binding.program([*calls, *(partial(texts_of, p) for p in texts)])
 
-    def _reads(self, ports: list[Port]) -> Any:
-        """The program that reads variables."""
-        network, texts = self._network, [p for p in ports if not self._network.system.variable(p).is_number]
-        calls: list[Any] = [*network.get_calls({*ports})]
-        return network.binding.program([*calls, *(partial(self._read_text, p) for p in texts)])
+    def _set_numbers(self, ports: Sequence[Port], program: Any) -> None:
+        """Set numbers, in a round of FMUs that exchange values both ways only if they are others."""
+        values = [self._network.value(port) for port in ports]
+        if self._given.get(ports[0]) != values:
+            self._given[ports[0]] = values
+            self._network.binding.run(program)
 
     def _set_text(self, port: Port) -> None:
         value = self._network.texts.last.get(self._sources.get(port, port))
-        if value is not None:  # one that its clock has given
+        if value is not None and self._given.get(port) != value:  # one that its clock has given
             self._network.slaves[port.component].set(port.variable, value)
             self._network.store(port, value)
+            self._given[port] = value
 
     def _read_text(self, port: Port) -> None:
         self._network.store(port, self._network.slaves[port.component].get(port.variable), ticks=True)
@@ -161,19 +182,21 @@ class Clocks:
 
     def propagate(self) -> list[str]:
         """Let clocks tick until no other one does, with their variables; returns the names of the clocks."""
-        ticked, texts = list[Port](), self._network.texts
-        self._active.clear()
-        texts.of_ticks.clear()
+        ticked = list[Port]()
+        for of_instant in (self._active, self._given, self._network.texts.of_ticks):
+            of_instant.clear()
         for _ in range(MAX_EVENT_ITERATIONS):
             before = self._values() if self._circular else ()
             for k, stage in enumerate(self._stages):
                 for port in sorted(self.pending & stage.inputs):
-                    self._slave(port).clocks.tick(self._network.system.variable(port))
+                    calls, clock = self._calls[port]
+                    calls.tick(clock)
                     self._add(port, ticked)
                 if self._active and stage.programs:
                     self._network.binding.run(self._program(k))
                 for port in stage.outputs:
-                    if port not in self._active and self._ticks(port):
+                    calls, clock = self._calls[port]
+                    if port not in self._active and calls.ticks(clock):
                         self._add(port, ticked)
             if not self.pending and (not self._active or before == (self._values() if before else ())):
                 return [*map(str, ticked)]
@@ -186,15 +209,6 @@ class Clocks:
         ticked.append(port)
         self._active.add(port)
         self.pending = (self.pending | {c.target for c in self._wires.get(port, ())}) - self._active
-
-    def _ticks(self, port: Port) -> bool:
-        """Does an output clock tick?"""
-        return self._slave(port).clocks.ticks(self._network.system.variable(port))
-
-    def _slave(self, port: Port) -> RunningFmu:
-        slave = self._network.slaves[port.component]
-        assert isinstance(slave, RunningFmu)
-        return slave
 
     def _program(self, k: int) -> Any:
         """The program of a stage for the clocks that tick."""

@@ -352,6 +352,11 @@ class Network:
         """The blocks with these ports, in the order of the arrays."""
         return [self._blocks[i] for i in sorted({self._block_of[p] for p in ports if p in self._block_of})]
 
+    def value(self, port: Port) -> float:
+        """The value of a number."""
+        value: float = (array := self._array(port)).values[array.index[port]].item()
+        return value
+
     def together(self, port: Port) -> tuple[Port, ...]:
         """The variables that are set in one call with a variable."""
         return self._blocks[self._block_of[port]][1].ports if port in self._block_of else (port,)

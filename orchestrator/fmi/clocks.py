@@ -126,10 +126,6 @@ class Timed:
         """Set its next tick [s]."""
         self.next, self.time = tick, np.inf if tick is None else float(tick)
 
-    def follows(self, first: Fraction) -> float:
-        """Time from another tick to its next one [s]."""
-        return 0.0 if self.next == first else np.inf if self.next is None else float(self.next - first)
-
     @property
     def kind(self) -> str:
         """The variability of its interval."""
@@ -178,10 +174,10 @@ class Schedule:
 
         Only the tick of the first one counts, not the time, which may be that of a communication point.
         """
-        near = [c for c in self._timed if c.time <= t + 2 * tolerance]
-        first = min((c.next for c in near if c.next is not None and c.time <= t + tolerance), default=None)
+        near = [(c, c.next) for c in self._timed if c.next is not None and c.time <= t + 2 * tolerance]
+        first = min((tick for c, tick in near if c.time <= t + tolerance), default=None)
         self._now = Fraction(t) if first is None else first
-        self._due = [c for c in near if first is not None and c.follows(first) <= tolerance]
+        self._due = [c for c, tick in near if first is not None and tick - first <= tolerance]
         return [c.port for c in self._due]
 
     def finish(self) -> None:

@@ -419,6 +419,18 @@ def test_two_nodes_of_a_bus_send_each_other_frames(unit, master):
         assert result[f"{receiver}.heard"].tolist() == result[f"{receiver}.got"].tolist()  # the last byte
 
 
+UNTOLD = {' dependencies="1 3"': "", ' dependencies=""': "", ' dependencies="31 41"': "", ' dependencies="20"': ""}
+
+
+def test_strict_nodes_that_declare_no_dependencies_send_both_ways(unit):
+    """Rounds of an instant repeat until nothing changes, without setting the same value again."""
+    nodes = {"p": unit(**UNTOLD), "q": unit(TENTH + ' shiftDecimal="0.05"', "q", **UNTOLD)}
+    both = [f"{a}.y -> {b}.u" for a, b in ("pq", "qp")]
+    result = run(assemble(nodes, [*BUS, *both], {"p.odd": 5, "q.odd": 5}), step=0.025, stop=0.975)
+    assert [result[name][-1] for name in ("p.got", "q.got", "p.heard", "q.heard")] == [10, 10, 10, 10]
+    assert len([text for *_, text in result.texts if text == "0003"]) == 2
+
+
 def test_variables_of_an_output_clock_are_read(unit):
     """Also if it feeds no other clock: every second count, held in between."""
     of_fired = {'"10" causality="output" clocks="1"': '"10" causality="output" clocks="2"'}

@@ -9,8 +9,8 @@ from __future__ import annotations
 import ctypes
 import math
 import time
-from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, Unpack
 
 import numpy as np
@@ -291,23 +291,20 @@ class Integrator:
 class EventMode:
     """Co-Simulation of FMI 3.0 with event mode: the events of an instance, and ticks of clocks by time.
 
-    sampled   name -> latest value of the outputs of these clocks, which are read at a tick only
-    next      time of the next event that the FMU has announced, or of the next tick [s]
+    sampled     name -> latest value of the outputs of these clocks, which are read at a tick only
+    announced   time of the next event that the FMU has announced [s]
     """
 
     def __init__(self, trial: Trial, instance: FmuInstance, start: float) -> None:
         """In initialisation mode, at its end."""
-        self._instance, inputs = instance, trial.description.of("input")
-        calls, self._schedule = ClockCalls(instance, "the FMU"), Schedule(start)
-        calls.ask(inputs)
-        self._tick = dict[str, Callable[[], None]]()
-        self._outputs = dict[str, VariableValues]()
-        for clock in (v for v in inputs if v.kind == "Clock"):
-            self._tick[clock.name] = partial(calls.tick, clock)
-            self._schedule.add(clock.name, calls, clock)
-            outputs = [v for v in trial.description.of("output") if v.is_number]
-            outputs = [v for v in outputs if clock.reference in v.clocks]
-            self._outputs[clock.name] = VariableValues(trial, instance, outputs)
+        self._instance, self._calls = instance, ClockCalls(instance, "the FMU")
+        self._schedule, self._outputs = Schedule(start), dict[FmuVariable, VariableValues]()
+        self._calls.ask(trial.description.of("input"))
+        outputs = [v for v in trial.description.of("output") if v.is_number]
+        for clock in (v for v in trial.description.of("input") if v.kind == "Clock"):
+            self._schedule.add(clock, self._calls, clock)
+            of_clock = [v for v in outputs if clock.reference in v.clocks]
+            self._outputs[clock] = VariableValues(trial, instance, of_clock)
         self.sampled, self.announced = dict[str, float](), math.inf
 
     @property
@@ -320,10 +317,9 @@ class EventMode:
         ended = False
         for _ in range(MAX_EVENT_ITERATIONS):
             for clock in (due := self._schedule.begin(time, TOLERANCE_OF_TIME)):
-                self._tick[clock]()
-            for clock in due:
-                values = self._outputs[clock]
-                self.sampled.update(zip(values.names, values.get().tolist(), strict=True))
+                self._calls.tick(clock)
+            for values in (self._outputs[clock] for clock in due):
+                self.sampled |= zip(values.names, values.get().tolist(), strict=True)
             update = {"the FMU": self._instance.update_discrete_states}
             end, times = settle("the event iteration does not end", update)
             self._schedule.finish()
@@ -334,13 +330,13 @@ class EventMode:
             self._instance.call("EnterEventMode")
         return ended
 
-    def saved(self) -> list[Any]:
-        """What goes on from a saved FMU state."""
+    def bookmark(self) -> list[Any]:
+        """What a saved FMU state does not have."""
         return [self.announced, self._schedule.saved()]
 
-    def resume(self, saved: Sequence[Any]) -> None:
-        """Go on from a saved FMU state."""
-        self.announced, ticks = saved
+    def return_to(self, bookmark: Sequence[Any]) -> None:
+        """Go on from a bookmark."""
+        self.announced, ticks = bookmark
         self._schedule.resume(ticks)
 
 
@@ -403,12 +399,8 @@ class Simulation:
 
     def leave(self) -> None:
         """Leave initialisation mode; with event mode the FMU is in it afterwards."""
-        self.prepare_events()
-        self.instance.leave()
-
-    def prepare_events(self) -> None:
-        """Have event mode, if the instance uses it."""
         self.events = EventMode(self.trial, self.instance, self.start) if self.instance.events else None
+        self.instance.leave()
 
     def begin(self) -> Simulation:
         """Initialise, and be ready for steps."""
@@ -490,13 +482,13 @@ class Simulation:
         """The state of the run outside of the FMU, to continue from a saved FMU state."""
         e = self.integrator
         inner = (e.time, e.next_event, e.step_size, e.nominal.tolist()) if e else None
-        return self.step_count, self.time, inner, self.events and self.events.saved()
+        return self.step_count, self.time, inner, self.events and self.events.bookmark()
 
     def return_to(self, bookmark: Sequence[Any]) -> None:
         """Continue from a bookmark."""
         self.step_count, self.time, inner, events = bookmark
         if self.events and events is not None:
-            self.events.resume(events)
+            self.events.return_to(events)
         if self.integrator is not None and inner is not None:
             e = self.integrator
             e.time, e.next_event, e.step_size, nominal = inner
