@@ -188,7 +188,7 @@ class Clocks:
         for _ in range(MAX_EVENT_ITERATIONS):
             before = self._values() if self._circular else ()
             for k, stage in enumerate(self._stages):
-                for port in sorted(self.pending & stage.inputs):
+                for port in sorted(self.pending & stage.inputs) if self.pending else ():
                     calls, clock = self._calls[port]
                     calls.tick(clock)
                     self._add(port, ticked)

@@ -177,7 +177,9 @@ class Schedule:
         near = [(c, c.next) for c in self._timed if c.next is not None and c.time <= t + 2 * tolerance]
         first = min((tick for c, tick in near if c.time <= t + tolerance), default=None)
         self._now = Fraction(t) if first is None else first
-        self._due = [c for c, tick in near if first is not None and tick - first <= tolerance]
+        self._due = [
+            c for c, tick in near if first is not None and (tick == first or tick - first <= tolerance)
+        ]
         return [c.port for c in self._due]
 
     def finish(self) -> None:
