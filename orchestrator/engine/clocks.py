@@ -135,8 +135,9 @@ class Clocks:
             stages[-1].outputs += [p for p in clocks if p not in ticking]
             variables = [p for p in ports if p in self._variables]
             of = grouped(variables, lambda p: (not self._is_input(p), *sorted(self._variables[p])))
-            for (reads, *own), same in sorted(of.items()):
-                stages[-1].programs.append(({*own}, self._program_of(same, bool(reads))))
+            for (reads, *_), same in sorted(of.items()):
+                program = self._program_of(same, bool(reads))
+                stages[-1].programs.append((self._variables[same[0]], program))
         return stages
 
     def _program_of(self, ports: list[Port], reads: bool) -> Any:

@@ -419,7 +419,7 @@ def test_two_nodes_of_a_bus_send_each_other_frames(unit, master):
         assert result[f"{receiver}.heard"].tolist() == result[f"{receiver}.got"].tolist()  # the last byte
 
 
-UNTOLD = {' dependencies="1 3"': "", ' dependencies=""': "", ' dependencies="31 41"': "", ' dependencies="20"': ""}
+UNTOLD = {f' dependencies="{known}"': "" for known in ("1 3", "", "31 41", "20")}
 
 
 def test_strict_nodes_that_declare_no_dependencies_send_both_ways(unit):
