@@ -97,7 +97,7 @@ def _unknown(name: object, names: Sequence[str], among: str, hint: str) -> str:
     """Why a key selects no signal."""
     if not isinstance(name, str):
         return f"expected the name of a signal{hint}, got {name!r}"
-    same = sorted(n for n in names if n.rpartition(".")[2] == name)
+    same = sorted(n for n in names if n.endswith(f".{name}"))
     if len(same) > 1:
         more = ", ..." if len(same) > MAX_LISTED else ""
         return f"{name} is in {len(same)} components: {', '.join(same[:MAX_LISTED])}{more}"

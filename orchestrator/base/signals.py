@@ -22,15 +22,23 @@ def bare_name(signal: str) -> str:
 
 
 def matching(names: Collection[str], pattern: str) -> list[str]:
-    """The signals that a name or a pattern selects, with * and ? as in file names.
+    """The signals that a name or a pattern selects, in which only * and ? are wild; `y` selects y[1], y[2].
 
-    A pattern without a dot matches names without their component: `boom_*` selects manipulator.boom_angle,
-    but not boom_stick.stick_force. A pattern with a dot matches component.variable: `boom_stick.*`.
+    A pattern without a dot matches names behind their last dot: `boom_*` selects manipulator.boom_angle, but
+    not boom_stick.stick_force. A pattern with a dot matches component.variable, `boom_stick.*`, or, as
+    both may have dots, if it matches none, what follows a dot: `frame.*` selects arm.frame.x.
     """
     if pattern in names:
         return [pattern]
-    whole = "." in pattern
-    return [name for name in names if fnmatchcase(name if whole else bare_name(name), pattern)]
+    plain = pattern.replace("[", "[[]")
+    for form in (plain, f"{plain}[[]*]"):
+        if "." not in pattern:
+            found = [name for name in names if fnmatchcase(bare_name(name), form)]
+        elif not (found := [name for name in names if fnmatchcase(name, form)]):
+            found = [name for name in names if fnmatchcase(name, f"*.{form}")]
+        if found:
+            return found
+    return []
 
 
 def selected(names: Collection[str], patterns: Iterable[str], missing: Callable[[str], str]) -> list[str]:
@@ -58,7 +66,7 @@ def found(names: Collection[str], name: object, among: str = "the run") -> str:
     among   what has the signals, for the message
     """
     if isinstance(name, str):
-        same = [name] if name in names else [other for other in names if bare_name(other) == name]
+        same = [name] if name in names else [other for other in names if other.endswith(f".{name}")]
         if len(same) == 1:
             return same[0]
     raise UnknownSignal(name, names, among=among)

@@ -126,7 +126,8 @@ class Trace(Mapping[str, Array]):
 
     def _only(self, variable: str) -> str:
         """The one signal of this variable; raises UnknownSignal."""
-        if {*"*?["} & {*variable} and matching(self.signals, variable):
+        matches = matching(self.signals, variable)
+        if matches and not any(name.endswith(variable) for name in matches):
             hint = f'; a pattern goes in a list: result[["{variable}"]]'
             raise UnknownSignal(variable, self.signals, hint=hint)
         return found(self.signals, variable)

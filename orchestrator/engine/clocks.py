@@ -1,80 +1,61 @@
 """Clocks of FMI 3.0 for Co-Simulation: which tick in an instant, and the variables that belong to them.
 
-Tick k of a periodic clock is at start + shift + k interval, in fractions of the decimal numbers of the FMU:
-clocks meet exactly and none drifts. Clocks that are due together tick in one instant. A triggered input clock
-ticks with the output clock that is connected to it, before discrete states are updated. Variables of a clock
-are set and read only while it ticks; in between others see their last values.
+Tick k of a periodic clock is at start + shift + k interval, in fractions of the numbers of the FMU: clocks
+meet exactly and none drifts. Clocks that are due within the tolerance of an instant tick together. A
+triggered input clock ticks with the clock that is connected to it, before discrete states are updated.
+Variables of a clock are set and read only while it ticks, sources before the inputs that they feed, the
+inputs of an FMU before its outputs; in between others see their last values.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from fractions import Fraction
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from orchestrator.base.errors import Problem
 from orchestrator.base.text import grouped
 from orchestrator.engine.network import Network
-from orchestrator.fmi.cosimulation import APERIODIC, CHANGED, UNKNOWN, RunningFmu
+from orchestrator.fmi.clocks import ClockCalls, Schedule
+from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Unsettled
+from orchestrator.ssp.dependencies import strongly_connected
 from orchestrator.ssp.system import Port
 
 
-@dataclass(eq=False)
-class Timed:
-    """An input clock that ticks by time.
+@dataclass
+class Stage:
+    """A part of an instant: clocks that tick at its beginning, then variables, then clocks that are asked.
 
-    interval, next   its interval and its next tick [s], exact; None: not known
-    time             of the next tick [s]; infinite if it is not known
+    inputs     input clocks that may tick
+    programs   those that set or read variables, in order, with the clocks of which one has to tick
+    outputs    output clocks
     """
 
-    port: Port
-    slave: RunningFmu
-    clock: FmuVariable
-    interval: Fraction | None = None
-    next: Fraction | None = None
-    time: float = np.inf
-
-    def schedule(self, tick: Fraction | None) -> None:
-        """Set its next tick [s]."""
-        self.next, self.time = tick, np.inf if tick is None else float(tick)
-
-    @property
-    def kind(self) -> str:
-        """The variability of its interval."""
-        return self.clock.get("intervalVariability")
-
-    def is_asked(self, ticked: bool) -> bool:
-        """Is the FMU asked for its interval after an instant? A declared one may change after a tick only."""
-        if self.kind == "changing":
-            return ticked or self.next is None
-        is_open = self.kind == "tunable" and (ticked or self.clock.fraction("interval") is None)
-        return is_open or self.kind == "countdown"
+    inputs: set[Port] = field(default_factory=set)
+    programs: list[tuple[set[Port], Any]] = field(default_factory=list)
+    outputs: list[Port] = field(default_factory=list)
 
 
 class Clocks:
     """The clocks of a run."""
 
     def __init__(self, network: Network, start: float) -> None:
-        self._network, self._start, system = network, Fraction(repr(start)), network.system
-        self._timed, self._outputs = list[Timed](), list[Port]()
-        variables = dict[Port, list[Port]]()  # clock -> variables that belong to it
+        self._network, self._schedule, system = network, (schedule := Schedule(start)), network.system
+        self.finish, self.saved, self.resume = schedule.finish, schedule.saved, schedule.resume
+        self._variables = dict[Port, set[Port]]()  # variable -> its clocks
+        self._calls = dict[Port, tuple[ClockCalls, FmuVariable]]()  # of clocks
+        self._given = dict[Port, Any]()  # input -> what it was set to in this instant
         self.pending, self._active = set[Port](), set[Port]()
         self._wires = grouped(
             [c for c in system.connections if system.variable(c.source).kind == "Clock"], lambda c: c.source
         )
-        self._sources = {c.target: c for c in system.connections}
-        variable, recorded = system.variable, {*network.reals.index, *network.integers.index}
-        self._chained = any(
-            variable(c.source).clocked and variable(c.target).clocks for c in system.connections
-        )
+        self._sources = {c.target: c.source for c in system.connections}
+        recorded = {*network.reals.index, *network.integers.index}
         for name, component in system.components.items():
             of_component = component.interface.variables.values()
-            clocks = {v.reference: Port(name, v.name) for v in of_component if v.kind == "Clock"}
+            own_clocks = {v.reference: Port(name, v.name) for v in of_component if v.kind == "Clock"}
             for v in of_component:
                 own = Port(name, v.name)
                 if v.kind == "Clock" or not v.clocked:
@@ -82,142 +63,162 @@ class Clocks:
                 driven = own in network.held_values and own not in self._sources
                 if component.has_start(v.name) and not driven:  # until its clock ticks
                     network.store(own, component.value(v.name))
-                if v.causality in ("input", "output") or own in recorded:
-                    for port in (clocks[r] for r in v.clocks if r in clocks):
-                        variables.setdefault(port, []).append(own)
-            for port in clocks.values():
-                clock, slave = system.variable(port), network.slaves[name]
-                if clock.causality == "output":
-                    self._outputs.append(port)
-                elif clock.causality == "input" and clock.get("intervalVariability") != "triggered":
-                    assert isinstance(slave, RunningFmu)
-                    self._timed.append(self._begun(port, slave, clock))
-        self._programs = {clock: self._sets_and_reads(ports) for clock, ports in variables.items()}
-        self._joined = dict[tuple[Port, ...], list[Any]]()
+                needed = own in recorded and v.causality != "input"
+                if needed or v.causality == "output" or own in network.held_values:
+                    self._variables[own] = {own_clocks[r] for r in v.clocks if r in own_clocks}
+            slave = network.slaves[name]
+            assert isinstance(slave, RunningFmu)
+            for port in own_clocks.values():
+                if (clock := system.variable(port)).causality in ("input", "output"):
+                    self._calls[port] = slave.clocks, clock
+                    schedule.add(port, slave.clocks, clock)
+        self._circular = False
+        self._stages = self._staged(self._levels([*self._calls, *self._variables]))
+        self._joined = dict[tuple[Any, ...], Any]()
 
-    def _sets_and_reads(self, ports: list[Port]) -> tuple[Any, Any]:
-        """The programs that set the inputs among variables from their sources, and read the others."""
-        network, inputs = self._network, {*ports} & self._network.held_values
-        variables = {port: network.system.variable(port) for port in ports}
-        others = [port for port, variable in variables.items() if variable.causality != "input"]
-        sets = network.copies([c for c in network.connections if c.target in inputs])
-        sets += network.set_calls(inputs)
-        sets += [partial(self._set_text, p) for p in sorted(inputs) if not variables[p].is_number]
-        reads: list[Any] = [*network.get_calls({*others})]
-        reads += [partial(self._read_text, p) for p in others if not variables[p].is_number]
-        return network.binding.program(sets), network.binding.program(reads)
+    def _is_input(self, port: Port) -> bool:
+        return self._network.system.variable(port).causality == "input"
+
+    def _levels(self, ports: list[Port]) -> list[list[Port]]:
+        """Clocks and their variables, each behind what it depends on.
+
+        All outputs of an FMU follow its inputs, as it may refuse these in an instant once an output was read;
+        if FMUs exchange values both ways, only those that they declare. What remains circular is repeated.
+        """
+        inputs = grouped(filter(self._is_input, ports), lambda port: port.component)
+        after = {p: self._before(p, inputs.get(p.component, ())) & {*ports} for p in ports}
+        level = dict[Port, int]()
+        for group in strongly_connected(after):
+            if len(group) > 1:
+                components = self._network.system.components
+                for p in group:
+                    direct = components[p.component].interface.direct_inputs(p.variable)
+                    known = [u for u in inputs.get(p.component, ()) if u.variable in direct]
+                    after[p] = self._before(p, known) & {*ports}
+                group, parts = [], strongly_connected({p: after[p] & {*group} for p in group})
+                for part in parts:
+                    group += self._opened(part, after)
+            for p in group:
+                level[p] = 1 + max((level.get(q, -1) for q in after[p]), default=-1)
+        return [[p for p in ports if level[p] == k] for k in range(max(level.values(), default=-1) + 1)]
+
+    def _opened(self, part: list[Port], after: dict[Port, set[Port]]) -> list[Port]:
+        """Ports that depend on each other in an order: FMU by FMU, inputs before outputs."""
+        if len(part) > 1:
+            self._circular = True
+            place = {p: (p.component, not self._is_input(p), p in self._variables) for p in part}
+            part.sort(key=lambda p: place[p])
+            for p in part:
+                after[p] = after[p] - {*part} | {q for q in part if place[q] < place[p]}
+        return part
+
+    def _before(self, port: Port, inputs: Iterable[Port]) -> set[Port]:
+        """What a clock or a variable depends on; inputs: of its FMU, on which an output depends.
+
+        Inputs that are set in one call depend on the sources of all of them.
+        """
+        clocks = self._variables.get(port, set())
+        if not self._is_input(port):
+            return clocks | {*inputs}
+        together = self._network.together(port)
+        return clocks | {self._sources[p] for p in together if p in self._sources}
+
+    def _staged(self, levels: list[list[Port]]) -> list[Stage]:
+        """The stages of an instant: as few as clocks allow that tick with others, which are asked before."""
+        stages = [Stage()]
+        for ports in levels:
+            clocks = [p for p in ports if p in self._calls]
+            ticking = {*filter(self._is_input, clocks)}
+            if stages[-1].outputs or ticking & {*self._sources}:
+                stages.append(Stage())
+            stages[-1].inputs |= ticking
+            stages[-1].outputs += [p for p in clocks if p not in ticking]
+            variables = [p for p in ports if p in self._variables]
+            of = grouped(variables, lambda p: (not self._is_input(p), *sorted(self._variables[p])))
+            for (reads, *_), same in sorted(of.items()):
+                program = self._program_of(same, bool(reads))
+                stages[-1].programs.append((self._variables[same[0]], program))
+        return stages
+
+    def _program_of(self, ports: list[Port], reads: bool) -> Any:
+        """The program that reads variables, or sets inputs from their sources."""
+        network, texts = self._network, [p for p in ports if not self._network.system.variable(p).is_number]
+        calls: list[Any] = [*(network.get_calls if reads else network.set_calls)({*ports})]
+        if calls and not reads:
+            if self._circular:
+                calls = [
+                    partial(self._set_numbers, network.together(ports[0]), network.binding.program(calls))
+                ]
+            calls = [*network.copies([c for c in network.connections if c.target in ports]), *calls]
+        texts_of = self._read_text if reads else self._set_text
+        return network.binding.program([*calls, *(partial(texts_of, p) for p in texts)])
+
+    def _set_numbers(self, ports: Sequence[Port], program: Any) -> None:
+        """Set numbers, in a round of FMUs that exchange values both ways only if they are others."""
+        values = [self._network.value(port) for port in ports]
+        if self._given.get(ports[0]) != values:
+            self._given[ports[0]] = values
+            self._network.binding.run(program)
 
     def _set_text(self, port: Port) -> None:
-        wire = self._sources.get(port)
-        value = self._network.texts.last.get(wire.source if wire else port)
-        if value is not None:  # one that its clock has given
+        value = self._network.texts.last.get(self._sources.get(port, port))
+        if value is not None and self._given.get(port) != value:  # one that its clock has given
             self._network.slaves[port.component].set(port.variable, value)
             self._network.store(port, value)
+            self._given[port] = value
 
     def _read_text(self, port: Port) -> None:
-        self._network.store(port, self._network.slaves[port.component].get(port.variable))
-
-    def _begun(self, port: Port, slave: RunningFmu, clock: FmuVariable) -> Timed:
-        """A clock with its first tick; an aperiodic one may tell it later."""
-        begun = Timed(port, slave, clock)
-        interval, shift = slave.first_ticks.get(clock.name, (None, Fraction(0)))
-        if interval is None and begun.kind not in APERIODIC:
-            interval, shift = clock.fraction("interval"), clock.fraction("shift") or shift
-        if interval is not None:
-            self._set_interval(begun, interval)
-            begun.schedule(self._start + shift)
-        return begun
-
-    def _set_interval(self, c: Timed, interval: Fraction) -> None:
-        if interval < 0 or (interval == 0 and c.kind not in APERIODIC):
-            least = "0 s or more" if c.kind in APERIODIC else "above 0 s"
-            raise Problem(f"{c.port}: expected an interval {least}, got {float(interval):.9g} s")
-        c.interval = interval
+        self._network.store(port, self._network.slaves[port.component].get(port.variable), ticks=True)
 
     @property
     def next(self) -> float:
         """Time of the next tick [s]; infinite if there is none."""
-        return min((c.time for c in self._timed), default=np.inf)
+        return self._schedule.next
 
     def begin(self, t: float, tolerance: float) -> list[Port]:
-        """The clocks that are due first at a time [s], all at the same one, are to tick."""
-        due = [c for c in self._timed if c.time <= t + tolerance]
-        first = min((c.next for c in due if c.next is not None), default=None)
-        self._due = [c for c in due if c.next == first]
-        self._now = Fraction(t) if first is None else first
-        self.pending = {c.port for c in self._due}
-        return [c.port for c in self._due]
-
-    def finish(self) -> None:
-        """After an instant: when do its clocks tick next?"""
-        for c in self._timed:
-            ticked, goes_on, changed = c in self._due, c.kind != "countdown", False
-            if c.is_asked(ticked):
-                qualifier, interval = c.slave.interval(c.clock)
-                goes_on = goes_on and not (c.kind == "changing" and qualifier == UNKNOWN)
-                changed = qualifier == CHANGED and (c.kind != "tunable" or interval != c.interval)
-                if changed:
-                    self._set_interval(c, interval)
-            if c.interval is not None and (changed or (ticked and goes_on)):
-                c.schedule(self._now + c.interval)  # a new interval begins now
-            elif ticked:
-                c.schedule(None)
+        """The clocks that are due at a time [s], see `Schedule.begin`, are to tick."""
+        due: list[Port] = self._schedule.begin(t, tolerance)
+        self.pending = {*due}
+        return due
 
     def propagate(self) -> list[str]:
         """Let clocks tick until no other one does, with their variables; returns the names of the clocks."""
-        ticked, changed = list[Port](), True
-        self._active.clear()
+        ticked = list[Port]()
+        for of_instant in (self._active, self._given, self._network.texts.of_ticks):
+            of_instant.clear()
         for _ in range(MAX_EVENT_ITERATIONS):
-            if not (changed or self.pending):
+            before = self._values() if self._circular else ()
+            for k, stage in enumerate(self._stages):
+                for port in sorted(self.pending & stage.inputs) if self.pending else ():
+                    calls, clock = self._calls[port]
+                    calls.tick(clock)
+                    self._add(port, ticked)
+                if self._active and stage.programs:
+                    self._network.binding.run(self._program(k))
+                for port in stage.outputs:
+                    calls, clock = self._calls[port]
+                    if port not in self._active and calls.ticks(clock):
+                        self._add(port, ticked)
+            if not self.pending and (not self._active or before == (self._values() if before else ())):
                 return [*map(str, ticked)]
-            for port in sorted(self.pending - self._active):
-                self._slave(port).tick(port.variable)
-                ticked.append(port)
-            self._active |= self.pending
-            self.pending = set()
-            changed = bool(self._active) and self._copy(sorted(self._active))
-            for port in self._outputs:
-                if port not in self._active and self._slave(port).ticks(port.variable):
-                    self._active.add(port)
-                    ticked.append(port)
-                    changed |= port in self._programs  # which are read in the next round
-                    self.pending |= {c.target for c in self._wires.get(port, ())}
         raise Unsettled(
             f"{self._network.system.name}: the clocks do not settle: {', '.join(map(str, ticked[-3:]))}"
         )
 
-    def _slave(self, port: Port) -> RunningFmu:
-        slave = self._network.slaves[port.component]
-        assert isinstance(slave, RunningFmu)
-        return slave
+    def _add(self, port: Port, ticked: list[Port]) -> None:
+        """A clock has ticked: those that are connected to it are to tick."""
+        ticked.append(port)
+        self._active.add(port)
+        self.pending = (self.pending | {c.target for c in self._wires.get(port, ())}) - self._active
 
-    def _copy(self, active: list[Port]) -> bool:
-        """Set inputs of clocks that tick from their sources, then read the others.
+    def _program(self, k: int) -> Any:
+        """The program of a stage for the clocks that tick."""
+        program = self._joined.get(key := (k, *sorted(self._active)))
+        if program is None:
+            parts = [program for clocks, program in self._stages[k].programs if clocks & self._active]
+            program = self._joined[key] = self._network.binding.joined(parts)
+        return program
 
-        Returns whether one has changed that may feed an input of a clock.
-        """
+    def _values(self) -> tuple[bytes, bytes, dict[Port, str]]:
         network = self._network
-        programs = self._joined.get(key := tuple(active))
-        if programs is None:
-            pairs = [self._programs[clock] for clock in active if clock in self._programs]
-            parts = [[pair[k] for pair in pairs] for k in (0, 1)]
-            parts = parts if self._chained else [[*parts[0], *parts[1]]]
-            programs = self._joined[key] = [network.binding.joined(part) for part in parts]
-        network.binding.run(programs[0])
-        if not self._chained:
-            return False
-        values, texts = (network.reals.values, network.integers.values), len(network.texts.changes)
-        before = [array.copy() for array in values]
-        network.binding.run(programs[1])
-        same = all(np.array_equal(*pair, equal_nan=True) for pair in zip(values, before, strict=True))
-        return not same or len(network.texts.changes) > texts
-
-    def saved(self) -> list[Any]:
-        """Intervals and next ticks, for a saved run."""
-        return [[str(c.interval), str(c.next)] for c in self._timed]
-
-    def resume(self, saved: list[Any]) -> None:
-        """Go on from a saved run."""
-        for c, texts in zip(self._timed, saved, strict=True):
-            c.interval, tick = (None if text == "None" else Fraction(text) for text in texts)
-            c.schedule(tick)
+        return network.reals.values.tobytes(), network.integers.values.tobytes(), {**network.texts.last}

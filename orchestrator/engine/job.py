@@ -158,6 +158,7 @@ class Job:
             *built_notes(system),
             *system.differences(system.common),
             *system.without_effect([*set_values, *columns]),
+            *system.without_ticks(),
         )
         driving = None if trace is None else drive(system, trace, label)
         if driving:
@@ -264,7 +265,7 @@ def uneven_steps(system: System, coupling: Coupling, times: Grid) -> list[str]:
     for name, component in system.components.items():
         fixed, step = component.interface.fixed_step, times.step / coupling.factors.get(name, 1)
         if fixed and abs(step - max(round(step / fixed), 1) * fixed) > SAME_TIME * step:
-            notes.append(f"{name}: expected multiples of its fixed step, {fixed:g} s, got steps of {step:g} s")
+            notes.append(f"{name}: expected multiples of its step, {fixed:g} s, got steps of {step:g} s")
     return notes
 
 

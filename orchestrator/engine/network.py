@@ -323,10 +323,10 @@ class Network:
         """Is a variable set or read only while its clock ticks, see `clocks`?"""
         return self.system.variable(port).clocked
 
-    def store(self, port: Port, value: Value) -> None:
-        """Store the value of a signal."""
+    def store(self, port: Port, value: Value, ticks: bool = False) -> None:
+        """Store the value of a signal; ticks: a text, at a tick of its clock."""
         if not self.system.variable(port).is_number:
-            self.texts.store(port, str(value), self.slaves[port.component].log.time)
+            self.texts.store(port, str(value), self.slaves[port.component].log.time, ticks)
         elif (at := self._array(port).index.get(port)) is not None:
             self._array(port).values[at] = value
 
@@ -352,6 +352,15 @@ class Network:
     def _blocks_of(self, ports: set[Port]) -> Blocks:
         """The blocks with these ports, in the order of the arrays."""
         return [self._blocks[i] for i in sorted({self._block_of[p] for p in ports if p in self._block_of})]
+
+    def value(self, port: Port) -> float:
+        """The value of a number."""
+        value: float = (array := self._array(port)).values[array.index[port]].item()
+        return value
+
+    def together(self, port: Port) -> tuple[Port, ...]:
+        """The variables that are set in one call with a variable."""
+        return self._blocks[self._block_of[port]][1].ports if port in self._block_of else (port,)
 
     def _array(self, port: Port) -> SignalArray:
         return self.reals if self.system.variable(port).is_real else self.integers
@@ -471,9 +480,10 @@ class Network:
 class Texts:
     """Signals that are texts, of type String or Binary: they are copied when they change.
 
-    wires     output -> the inputs that it feeds; plain: of those that belong to no clock
-    last      output -> its last value
-    changes   time [s], output and value of each change so far
+    wires      output -> the inputs that it feeds; plain: of those that belong to no clock
+    last       output -> its last value
+    changes    time [s], output and value of each change so far, and of each tick of the clock of an output
+    of_ticks   output -> place in `changes` of its value at the present tick
     """
 
     def __init__(self, system: System, slaves: Mapping[str, Slave]) -> None:
@@ -484,15 +494,22 @@ class Texts:
         self.wires = {p: [c.target for c in of.get(p, ())] for p in outputs}
         self.plain = {p: to for p, to in self.wires.items() if not system.variable(p).clocked}
         self.last = dict[Port, str]()
-        self.changes = list[tuple[float, str, str]]()
+        self.changes, self.of_ticks = list[tuple[float, str, str]](), dict[Port, int]()
 
-    def store(self, port: Port, value: str, t: float) -> None:
-        """Store a value, and set the inputs that belong to no clock, if it is another one."""
-        if self.last.get(port) == value:
+    def store(self, port: Port, value: str, t: float, ticks: bool = False) -> None:
+        """Store a value, and set the inputs that belong to no clock, if it is another one.
+
+        ticks   its clock ticks: it has one value then, the last one that is stored
+        """
+        same = self.last.get(port) == value
+        if port in self.of_ticks:
+            self.changes[self.of_ticks[port]] = t, str(port), value
+        elif port in self.wires and (ticks or not same):
+            self.of_ticks |= {port: len(self.changes)} if ticks else {}
+            self.changes.append((t, str(port), value))
+        if same:
             return
         self.last[port] = value
-        if port in self.wires:
-            self.changes.append((t, str(port), value))
         for target in self.wires.get(port, ()):
             if not self._system.variable(target).clocked:
                 self._slaves[target.component].set(target.variable, value)

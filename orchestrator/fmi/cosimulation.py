@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
-from fractions import Fraction
 from functools import cached_property, partial
 from typing import Any
 
@@ -26,12 +25,12 @@ from orchestrator.fmi.calls import (
     set_starts,
     to_ctypes,
 )
+from orchestrator.fmi.clocks import ClockCalls
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.fmi.instance import (
     CLOSE,
     MOST_CLOSE_EVENTS,
     AfterCall,
-    CallFailed,
     FmuInstance,
     chattering,
     resources_location,
@@ -42,10 +41,6 @@ from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
 UNUSED = ("sources/", "documentation/")  # by a running FMU
-UNKNOWN, CHANGED = 0, 2  # fmi3IntervalNotYetKnown, fmi3IntervalChanged
-APERIODIC = ("changing", "countdown")  # clocks whose interval may be 0
-INTERVAL = "GetIntervalDecimal", "GetIntervalFraction"
-SHIFT = "GetShiftDecimal", "GetShiftFraction"
 LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
 
@@ -56,7 +51,7 @@ class RunningFmu:
     in_events    it is in event mode
     next_event   time of its next time event, as far as it has event mode between steps [s]
     notes        on its instantiation
-    first_ticks   of clocks that declare no interval: interval, and time from the start to the first tick [s]
+    clocks       the calls of its clocks
     """
 
     event_mode = in_events = _asks = False
@@ -68,8 +63,6 @@ class RunningFmu:
         """`after`: see `FmuInstance`."""
         self.name, self.interface, self.log = name, interface, Log(name, interface.marks)
         self._label, self._stepping, self._after = f"{name} ({fmu})", False, after
-        self.first_ticks = dict[str, tuple[Fraction, Fraction]]()
-        self._clock_calls = dict[tuple[str, str], tuple[Call, Sequence[Any]]]()
         self._cleanup = ExitStack()
         try:
             self._open(fmu)
@@ -82,6 +75,7 @@ class RunningFmu:
         folder = self._cleanup.enter_context(fmu.unpacked(UNUSED))
         library = load_library(folder, face.identifier, face.model.major, self._label)
         self.fmu = FmuInstance(library, self.log, face.kind == MODEL_EXCHANGE, None, self._label, self._after)
+        self.clocks = ClockCalls(self.fmu, self.name)
         self._cleanup.callback(self._unless_fatal, library.close)
         self._cleanup.callback(self.fmu.free)
         resources = resources_location(folder, face.model.major)
@@ -390,59 +384,6 @@ class RunningFmu:
         asks, self._asks = self._asks, False
         return asks
 
-    def tick(self, clock: str) -> None:
-        """Let an input clock tick, in event mode."""
-        self._clock_call("SetClock", clock, ctypes.c_bool)[0]()
-
-    def ticks(self, clock: str) -> bool:
-        """Does an output clock tick?"""
-        call, (ticks,) = self._clock_call("GetClock", clock, ctypes.c_bool)
-        call()
-        return bool(ticks[0])
-
-    def _clock_call(self, function: str, clock: str, *types: Any) -> tuple[Call, Sequence[Any]]:
-        """A bound call of a clock, made once, and its arguments; what the FMU does not write is NaN or 0."""
-        if (function, clock) not in self._clock_calls:
-            references = self.fmu.references([self.interface.variables[clock].reference])
-            start = function == "SetClock"
-            arguments = [(type_ * 1)(np.nan if type_ is ctypes.c_double else start) for type_ in types]
-            call = self.fmu.bound(function, *references, *arguments, variables=[clock])
-            self._clock_calls[function, clock] = call, arguments
-        return self._clock_calls[function, clock]
-
-    def interval(self, clock: FmuVariable) -> tuple[int, Fraction]:
-        """fmi3IntervalQualifier and interval of a clock [s], as a fraction if the FMU has them."""
-        interval, qualifier = self._seconds(clock, *INTERVAL, ctypes.c_int)
-        return qualifier[0], interval
-
-    def shift(self, clock: FmuVariable) -> Fraction:
-        """Time from the start to the first tick of a periodic clock [s]."""
-        declared = clock.fraction("shift")
-        if declared is not None or not any(map(self.fmu.library.has, SHIFT)):
-            return declared or Fraction(0)
-        shift, _ = self._seconds(clock, *SHIFT)
-        if shift < 0:
-            got = f"got {float(shift):.9g} s"
-            raise Problem(f"{self.name}.{clock.name}: expected a shift of 0 s or more, {got}")
-        return shift
-
-    def _seconds(
-        self, clock: FmuVariable, as_decimal: str, as_fraction: str, *more: Any
-    ) -> tuple[Fraction, Any]:
-        """A time of a clock [s], exactly as the FMU gives it, and the last of the other results."""
-        exact = clock.get("supportsFraction") == "true"
-        types: Sequence[Any] = (ctypes.c_uint64,) * 2 if exact else (ctypes.c_double,)
-        call, results = self._clock_call(as_fraction if exact else as_decimal, clock.name, *types, *more)
-        call()
-        if more and results[-1][0] == UNKNOWN:
-            return Fraction(0), results[-1]
-        if exact:
-            return Fraction(results[0][0], results[1][0] or 1), results[-1]
-        if not np.isfinite(seconds := results[0][0]):
-            name, what = f"{self.name}.{clock.name}", "a shift" if as_decimal in SHIFT else "an interval"
-            raise Problem(f"{name}: expected {what} in seconds, got {seconds}")
-        return Fraction(repr(seconds)), results[-1]
-
     def enter_events(self) -> None:
         """Enter event mode, at the end of a step; after its initialisation an FMU may be there."""
         if not self.in_events:
@@ -528,26 +469,9 @@ class CoSimulationFmu(RunningFmu):
         super().setup(start, stop, tolerance)
 
     def exit(self) -> None:
-        """Leave initialisation mode, and enter step mode, or event mode if there is one, for the first event.
-
-        Before, clocks that tick by time tell intervals that are not declared (FMI 3.0.2, 2.2.8.3).
-        """
-        clocks = [v for v in self.interface.of("input") if v.kind == "Clock"] if self.event_mode else []
-        for v in clocks:
-            kind = v.get("intervalVariability")
-            if kind == "triggered" or (kind not in APERIODIC and v.fraction("interval") is not None):
-                continue
-            try:
-                qualifier, interval = self.interval(v)
-            except CallFailed as failed:
-                if kind != "countdown" or failed.status == FATAL:  # some tell it in event mode only
-                    raise
-                qualifier, self.fmu.worst = UNKNOWN, WARNING
-            if qualifier == UNKNOWN and kind not in APERIODIC:
-                expected = "expected an interval in initialisation mode, got not yet known"
-                raise Problem(f"{self.name}.{v.name}: {expected}")
-            if qualifier == CHANGED or (qualifier != UNKNOWN and kind != "countdown"):
-                self.first_ticks[v.name] = interval, interval if kind in APERIODIC else self.shift(v)
+        """Leave initialisation mode, and enter step mode, or event mode for the first event."""
+        if self.event_mode:
+            self.clocks.ask(self.interface.of("input"))
         super().exit()
         self.in_events = self.event_mode
 

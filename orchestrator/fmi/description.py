@@ -241,12 +241,22 @@ class FmuVariable(Entry):
     def clocked(self) -> bool:
         return bool(self.get("clocks")) or self.type == "Clock"
 
+    @property
+    def is_triggered_input(self) -> bool:
+        """Is it a clock that ticks with the one that is connected to it?"""
+        return self.causality == "input" and self.get("intervalVariability") == "triggered"
+
     def fraction(self, name: str) -> Fraction | None:
-        """`interval` or `shift` of a clock [s], exactly as it is declared; None if it is not."""
-        if decimal := self.get(f"{name}Decimal"):
-            return Fraction(decimal)
+        """`interval` or `shift` of a clock [s], exactly as it is declared; None if it is not.
+
+        With `supportsFraction` the fraction is the exact one, else the decimal number.
+        """
         counter, resolution = parse_int(self.get(f"{name}Counter")), parse_int(self.get("resolution"))
-        return None if counter is None or not resolution else Fraction(counter, resolution)
+        exact = None if counter is None or not resolution else Fraction(counter, resolution)
+        decimal = self.get(f"{name}Decimal")
+        if decimal and not (exact is not None and self.declares("supportsFraction")):
+            return Fraction(decimal)
+        return exact
 
     @property
     def description(self) -> str:

@@ -152,6 +152,7 @@ class FmuInstance:
     after      called after each function that Python calls
     slot       the call in progress
     handle     NULL before `instantiate` and after `free`
+    events     event mode of Co-Simulation is used
     worst      the worst status of all calls
     flags      FMI 3.0: event, terminate and early return of the last step; 0 if none of them is set
     reached    FMI 3.0: last successful time [s]
@@ -171,7 +172,7 @@ class FmuInstance:
         self.library, self.log, self.exchange, self.before = library, log, exchange, before
         self.after, self._closed = after, False
         self.fmi, self.types = library.fmi, TYPES[library.fmi]
-        self.handle, self.worst = ctypes.c_void_p(), 0
+        self.handle, self.worst, self.events = ctypes.c_void_p(), 0, False
         self._environment: int = register_log(log)
         self.slot = new_slot(label or log.component, library.fmi)
         log.clock = self.slot.clock
@@ -288,7 +289,7 @@ class FmuInstance:
         early       FMI 3.0: the FMU may return early, also where the callback requests it
         events      FMI 3.0: event mode is used
         """
-        texts = (name or self.log.component).encode(), token.encode()
+        texts, self.events = ((name or self.log.component).encode(), token.encode()), events
         location = None if resources is None else os.fsencode(resources)
         if self.fmi == 2:
             function, fmu_type = "Instantiate", 0 if self.exchange else 1

@@ -32,6 +32,7 @@ from orchestrator.engine.arguments import CoupledArguments, SystemArguments
 from orchestrator.engine.result import Card, Result, ranges, widest_of_unit
 from orchestrator.engine.run import run_to_file
 from orchestrator.engine.time_grid import Grid
+from orchestrator.fmi.interface import MODEL_EXCHANGE
 from orchestrator.monolithic.reference import SOLVER, reference
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.metrics import AT_REST
@@ -209,7 +210,7 @@ def describe(component: Component) -> dict[str, str]:
         "file": source.members[-1] if source and source.members else source.path.name if source else "",
         "version": model.get("version"),
         "guid": model.token,
-        "fmi": f"{model.major}.0 CS",
+        "fmi": f"{model.major}.0 {'ME' if component.interface.kind == MODEL_EXCHANGE else 'CS'}",
         "tool": model.get("generationTool"),
         "text": model.get("description"),
         "sha256": checksum(source) if source else "",

@@ -18,7 +18,10 @@ NAMESPACES = {
 # names of types by version of SSP; version 2.0 uses those of FMI 3.0
 TYPES: Mapping[str, Mapping[str, str]] = {
     "1.0": {"Real": "Real", "Integer": "Integer", "Boolean": "Boolean", "String": "String"},
-    "2.0": {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "String": "String"},
+    "2.0": {
+        **{"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "String": "String"},
+        **{"Binary": "Binary", "Clock": "Clock"},
+    },
 }
 MAPPINGS: Mapping[str, Callable[[str], float]] = {
     "BooleanMappingTransformation": boolean,

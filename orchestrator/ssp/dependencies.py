@@ -307,7 +307,7 @@ class Feedthrough:
         """Does it carry values at the ticks of a clock only? Clocks themselves tick together in a run."""
         ends = [self._system.variable(port) for port in (connection.source, connection.target)]
         if ends[0].kind == "Clock":
-            return self._initially
+            return self._initially or ends[0].causality == "input"
         return any(v.clocked for v in ends)
 
     def depends(self, output: Port) -> set[Port]:

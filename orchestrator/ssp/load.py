@@ -109,6 +109,9 @@ def _connected(flat: FlatStructure, system: System) -> System:
         e for c in flat.of_kind("", *SINKS) for e in elements.get(c, () if flat.declared(c).shape else [c])
     ]
     inputs = {c.variable: _inlet(flat, system, c, fed.get(c, ()), notes) for c in inlets}
+    for name in [name for name, inlet in inputs.items() if inlet.type == "Clock"]:
+        notes.append(f"{name}: left out, a clock at an input of the system, where nothing ticks")
+        del inputs[name]
     system = replace(system, inputs=inputs)
     start = bound_values(replace(signals, system=system))
     connections, outputs = list[Connection](), dict[str, Outlet]()

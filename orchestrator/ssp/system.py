@@ -283,8 +283,10 @@ class System:
                 found = self.components[component].interface.arrays.get(variable)
                 if found:
                     return found.shape, [Port(component, element) for element in found.elements]
-        alone = [c for c in self.components if len(self.components) == 1 and "." not in name]
-        return self.array(f"{alone[0]}.{name}") if alone and "." not in name else None
+        alone = [
+            n for n, c in self.components.items() if len(self.components) == 1 and name in c.interface.arrays
+        ]
+        return self.array(f"{alone[0]}.{name}") if alone else None
 
     def pairs(self, source: str, target: str) -> list[tuple[Port, Port]] | None:
         """The elements that a connection of two arrays connects; None if neither end is one."""
@@ -416,6 +418,20 @@ class System:
         idle = [n for n in names if n in self.inputs and not self.inputs[n].targets and not self.passed(n)]
         return tuple(f"{name} has no effect: this input of the system feeds nothing" for name in idle)
 
+    def without_ticks(self) -> Iterator[str]:
+        """Notes on connected variables whose clocks are all triggered ones that nothing is connected to."""
+        fed = self.fed
+        for port in dict.fromkeys([*fed, *(c.source for c in self.connections)]):
+            clocks = [
+                Port(port.component, v.name)
+                for v in self.components[port.component].interface.variables.values()
+                if v.kind == "Clock" and v.reference in self.variable(port).clocks
+            ]
+            idle = [c for c in clocks if c not in fed and self.variable(c).is_triggered_input]
+            if clocks and idle == clocks:
+                never = f"its clock {clocks[0]} never ticks, because nothing is connected to it"
+                yield f"{port} keeps its start value: {never}"
+
     def start_of(self, inlet: Inlet) -> Value | None:
         """The start value of an input of the system, if need be from the first input that it feeds."""
         for port, linear in inlet.targets[:1] if inlet.start is None else ():
@@ -519,8 +535,8 @@ class System:
                 if port in connected:
                     replaced.append(connected[port])
         notes = tuple(f"{c.target} is set, which replaces its connection from {c.source}" for c in replaced)
-        kept = tuple(c for c in self.connections if c not in replaced)
-        system = replace(self.started(start, origin), connections=kept, notes=self.notes + notes)
+        system = self.started(start, origin).noted(*notes)  # where sizes change, with other connections
+        system = replace(system, connections=tuple(c for c in system.connections if c not in replaced))
         for component in system.components.values():
             for name, value in component.start.items():
                 where = f"{self.source or self.name}: {component.name}.{name}"
@@ -700,14 +716,18 @@ WIDER = {
 
 
 def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
-    """A connection; raises Problem if causalities or types do not fit."""
+    """A connection; raises Problem if causalities or types do not fit.
+
+    A clock that ticks by time may be the source of another one, though an input (FMI-LS-BUS).
+    """
     connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
-    if y.causality not in SOURCES or u.causality not in TARGETS:
+    transmits = y.kind == u.kind == "Clock" and y.get("intervalVariability") != "triggered"
+    if not (y.causality in SOURCES or (transmits and y.causality == "input")) or u.causality not in TARGETS:
         raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
     items = u.kind == "Enumeration" and y.value_type == "Boolean"
     if items or u.value_type not in WIDER.get(y.value_type, ()):
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
-    if u.kind == "Clock" and u.get("intervalVariability") != "triggered":
+    if u.kind == "Clock" and not u.is_triggered_input:
         got = f"{u.get('intervalVariability')} {target}, which ticks by time"
         raise Problem(f"{connection}: expected a triggered clock at the end, got the {got}")
     check_map(str(connection), u, linear)

@@ -60,11 +60,6 @@ class ConnectorType(NamedTuple):
     type: str = ""
     items: Items = MappingProxyType({})
 
-    @property
-    def unsupported(self) -> str:
-        """What it is, if it cannot be connected; else empty."""
-        return f"a {self.type}" if self.type in ("Binary", "Clock") else ""
-
 
 class IncomingConnection(NamedTuple):
     """The connection that feeds a connector; suppressed: its unit is not converted."""
@@ -142,9 +137,6 @@ def read_structure(file: Location) -> FlatStructure:
         flat.start = experiment.number("startTime") if experiment.get("startTime") is not None else None
         flat.stop = experiment.number("stopTime") if experiment.get("stopTime") is not None else None
     _SsdReader(flat, root, (), {}).read("")
-    left_out = grouped(flat.connectors, lambda c: flat.declared(c).unsupported)
-    for what, connectors in left_out.items():
-        flat.notes += [f"{first_names(map(str, connectors))}: left out, {what}"] if what else []
     if both := [str(c) for c, declared in flat.connectors.items() if declared.kind == INOUT]:
         flat.notes.append(f"{first_names(both)}: of kind {INOUT}, the connections tell the direction")
     return flat
@@ -281,13 +273,17 @@ class _SsdReader:
             self._flat.bindings.append(ParameterBinding(owner, e, self._units))
 
     def _connection(self, element: XmlElement, path: str, owners: Mapping[str, str]) -> None:
-        """Read one connection; the kinds of its connectors, not start and end, determine its direction."""
+        """Read one connection; the kinds of its connectors, not start and end, determine its direction.
+
+        Both may be inputs if the first one is a clock that ticks by time.
+        """
         ends = [self._end(element, side, path, owners) for side in ("start", "end")]
         (start, start_role), (end, end_role) = ends
         context = f"{element.file}: connection {start} -> {end}"
-        if start_role is not None and start_role == end_role:
+        clocks = {self._flat.declared(c).type or "Clock" for c in (start, end)} == {"Clock"}
+        if start_role == end_role and start_role and not (clocks and end_role == SINK):
             raise Problem(f"{context}: expected one source and one sink, got two {start_role}s")
-        if start_role == SINK or end_role == SOURCE:
+        if start_role != end_role and (start_role == SINK or end_role == SOURCE):
             start, end = end, start
         suppressed = element.boolean("suppressUnitConversion")
         incoming = IncomingConnection(start, read_transformation(element), suppressed)
@@ -306,8 +302,6 @@ class _SsdReader:
         if indices := element.get(f"{side}Indices"):
             end = _element(end, f"{','.join(indices.replace(',', ' ').split())}]")
         declared = self._flat.declared(end)
-        if unsupported := declared.unsupported:
-            raise Problem(f"{context} {end}: expected a number or text, got {unsupported}")
         if declared.kind is None and end.component in self._flat.systems:
             names = [c.variable for c in self._flat.connectors if c.component == end.component]
             got = f"{end.component or self._flat.name} has no connector {connector!r}"

@@ -5,7 +5,7 @@ the system was loaded from.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -52,7 +52,7 @@ def write_ssp(
         version = "2.0" if any(c.interface.model.major == 3 for c in system.components.values()) else "1.0"
     if version not in TYPES:
         raise Problem(f"{system.name}: SSP version: expected one of {', '.join(TYPES)}, got {version!r}")
-    _check_types(system)
+    _check_types(system, version)
     sets = sets or {}
     for name in bound:
         if name not in sets:
@@ -75,18 +75,13 @@ def write_ssp(
     return Path(path)
 
 
-def _check_types(system: System) -> None:
-    """Refuse connections and start values of clocks and binaries, which `load` does not take either."""
+def _check_types(system: System, version: str) -> None:
+    """Refuse connections and start values of clocks and binaries in SSP 1.0."""
     starts = [Port(c.name, v) for c in system.components.values() for v in c.start]
     for port in (*(c.source for c in system.connections), *starts):
-        if not _has_type(variable := system.variable(port)):
-            got = f"got a {variable.kind}"
-            raise Problem(f"{system.name}: {port}: expected a number or a text in a file, {got}")
-
-
-def _has_type(variable: FmuVariable) -> bool:
-    """Is it of a type that files have?"""
-    return all(variable.value_type in types for types in TYPES.values())
+        if (variable := system.variable(port)).value_type not in TYPES[version]:
+            expected = f"expected a number or a text in SSP {version}, got a {variable.kind}"
+            raise Problem(f"{system.name}: {port}: {expected}; version 2.0 has it")
 
 
 def _other_resources(system: System) -> dict[str, bytes]:
@@ -119,7 +114,7 @@ def _typed(values: Values) -> Values:
 def _structure(s: System, version: str, bound: Sequence[str]) -> bytes:
     """The content of SystemStructure.ssd."""
     places = {} if version == "1.0" else _places(s)
-    connectors = dict(_connectors(s, places))
+    connectors = dict(_connectors(s, places, TYPES[version]))
     variables = {name: {**c.interface.variables, **c.interface.arrays} for name, c in s.components.items()}
     units = [v.unit for of_component in variables.values() for v in of_component.values()]
     units += [i.unit for i in s.inputs.values()] + [o.unit for o in s.outputs.values()]
@@ -206,23 +201,24 @@ def _indices(element: str) -> str:
     return element.rpartition("[")[2].rstrip("]").replace(",", " ")
 
 
-def _sides(s: System) -> dict[str, tuple[list[Port], list[Port]]]:
+def _sides(s: System, types: Collection[str]) -> dict[str, tuple[list[Port], list[Port]]]:
     """Ports at the left and at the right of the system, "", and of its components, in the order of the FMU.
 
-    Of a component these are the connected inputs and all outputs.
+    Of a component these are the connected inputs and all outputs of some types. A clock that is the source of
+    a connection is at the right.
     """
     fed, read = s.fed, {c.source for c in s.connections} | {o.source for o in s.outputs.values()}
     sides = {"": ([Port("", name) for name in s.inputs], [Port("", name) for name in s.outputs])}
     for name, component in s.components.items():
         ports = [(Port(name, v.name), v) for v in component.interface.variables.values()]
-        outputs = [p for p, v in ports if (v.causality == "output" or p in read) and _has_type(v)]
+        outputs = [p for p, v in ports if (v.causality == "output" or p in read) and v.value_type in types]
         sides[name] = [p for p, _ in ports if p in fed], outputs
     return sides
 
 
-def _connectors(s: System, places: Places) -> Iterator[tuple[str, list[Connector]]]:
+def _connectors(s: System, places: Places, types: Collection[str]) -> Iterator[tuple[str, list[Connector]]]:
     """The connectors of the system, "", and of its components, from top to bottom on either side."""
-    for owner, sides in _sides(s).items():
+    for owner, sides in _sides(s, types).items():
         connectors = list[Connector]()
         for x, (kind, side) in enumerate(zip(("input", "output"), sides, strict=True)):
             groups = grouped(side, lambda port: places.get(port, (port, ""))[0])

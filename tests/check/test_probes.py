@@ -9,6 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from kit import shards
+from kit.any_fmu.description import packed
+from kit.any_fmu.models import ticking_fmu
 from kit.mistakes import entry
 
 from orchestrator.check.finding import Finding
@@ -70,6 +72,44 @@ def test_a_planted_fault_is_found_by_its_probe(oscillators, tmp_path, probe, tex
         found = apply(path, tmp_path, probe)
     assert any(text in f.text and f.severity == grave for f in found), found
     assert all(f.rule == f"run.{probe}" for f in found)
+
+
+CLOCKED = [
+    'intervalVariability="constant" intervalDecimal="0.1"',
+    'intervalVariability="tunable" supportsFraction="true"',
+    'intervalVariability="countdown"',
+]
+
+
+@pytest.mark.parametrize("interval", CLOCKED)
+def test_an_fmu_with_clocks_is_run_in_event_mode(tmp_path, interval):
+    """It is instantiated as in a run; its clocks tick, also from a state that another process has saved."""
+    found = apply(
+        ticking_fmu(tmp_path / "unit.fmu", interval), tmp_path, "default", "state", "serialize", "drift"
+    )
+    assert not found
+
+
+def test_outputs_of_clocks_are_read_at_their_ticks(tmp_path):
+    """This FMU declares another clock than the one with which `got` can be read."""
+    got = 'valueReference="11" causality="output" clocks="{}"'
+    wrong = {got.format(3): got.format(1)}
+    found = apply(ticking_fmu(tmp_path / "unit.fmu", CLOCKED[0], **wrong), tmp_path, "default")
+    assert "fmi3GetInt32 failed" in found[0].text
+
+
+def test_an_fmu_that_needs_event_mode_without_clocks_gets_it(tmp_path):
+    """It refuses to be instantiated otherwise."""
+    unit = ticking_fmu(tmp_path / "unit.fmu", CLOCKED[0])
+    with zipfile.ZipFile(unit) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    text = members["modelDescription.xml"].decode()
+    head, rest = text.split("<ModelVariables>")
+    noted = [line for line in rest.splitlines() if 'name="note"' in line or 'name="noted"' in line]
+    structure = '<ModelStructure><Output valueReference="16"/></ModelStructure></fmiModelDescription>'
+    text = f"{head}<ModelVariables>{''.join(noted)}</ModelVariables>{structure}"
+    plain = packed(tmp_path / "plain.fmu", {**members, "modelDescription.xml": text})
+    assert not apply(plain, tmp_path / "plain", "default")
 
 
 @shards.faults

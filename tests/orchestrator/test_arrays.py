@@ -136,6 +136,37 @@ def test_whole_arrays_are_wired(bank):
     )
 
 
+BEGIN = {  # an output of n elements, the values of u at the start
+    'valueReference="11" causality="local"': 'valueReference="11" causality="output"',
+    '<InitialUnknown valueReference="7"/>': '<Output valueReference="11" dependencies=""/>'
+    '<InitialUnknown valueReference="7"/><InitialUnknown valueReference="11"/>',
+}
+
+
+@pytest.mark.parametrize("n", [1, 2, 4])
+def test_whole_wires_follow_sizes_that_are_set(tmp_path, n):
+    """By set, in a file, and in two calls, as at assembly: u of a feeds b, of fewer or more."""
+    files = dict.fromkeys("ab", bank_fmu(tmp_path / "bank.fmu", BEGIN))
+    before = assemble(files, ["a.begin -> b.u"])
+    k, u, m = np.arange(1.0, n + 1), np.linspace(1, 2, n), np.ones((2, n))
+    sizes, values = (
+        {"a.n": n, "b.n": n},
+        {"a.u": u, **{f"{c}.{v}": x for c in "ab" for v, x in (("k", k), ("m", m))}},
+    )
+    file = write_ssp(before, tmp_path / "before.ssp")
+    systems = [
+        assemble(files, ["a.begin -> b.u"], {**sizes, **values}),
+        before.with_start({**values, **sizes}),
+        before.with_start(sizes).with_start(values),
+        load(file).with_start({**values, **sizes}),
+        before.with_start({"a.n": 5, "b.n": 5}).with_start({**sizes, **values}),
+    ]
+    for sized in systems:
+        result = run(sized, step=STEP, stop=STOP)
+        np.testing.assert_allclose(result["b.y[1]"], states(result.time, k, u).sum(1), atol=10 * ROUNDING)
+        assert [str(c) for c in sized.connections] == [f"a.begin[{i}] -> b.u[{i}]" for i in range(1, n + 1)]
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -192,6 +223,25 @@ def test_elements_are_linearised(bank):
     linear = linearize(load(bank), set={"bank.u": "1 1 1"})
     np.testing.assert_allclose(linear.a, np.diag([-1.0, -2.0, -3.0]), atol=ROUNDING)
     np.testing.assert_allclose(linear.c, [[1, 1, 1], [0, 1, 2]], atol=ROUNDING)
+
+
+def test_names_with_dots_and_of_elements_do_everywhere(tmp_path):
+    """Without their component: set, fault, until, accuracy_of, record, cut; also a whole array."""
+    dots = bank_fmu(tmp_path / "dots.fmu", {'name="u"': 'name="sub.u"', 'name="y"': 'name="sub.frame.y"'})
+    given = {"set": {"sub.u": "1 1 1"}, "step": 0.05}
+    whole = run(str(dots), **given, record=["sub.frame.y", "sub.u[2]"])
+    assert [*whole] == ["dots.sub.frame.y[1]", "dots.sub.frame.y[2]", "dots.sub.u[2]"]
+    for name in ("sub.frame.y[1]", "y[1]", "dots.sub.frame.y[1]"):
+        part = run(str(dots), **given, until=f"{name} > 0.5")
+        assert part["sub.frame.y[1]"][-1] > 0.5 >= part["sub.frame.y[1]"][-2]
+    assert run(str(dots), set=given["set"], accuracy=1e-2, accuracy_of=["frame.y[1]"]).reliable
+    faulty = run(str(dots), **given, fault={"sub.u[1]": "2@0.5"})
+    assert faulty["sub.u[1]"][-1] == 2.0
+    pair = assemble(
+        {"a": dots, "b": dots}, ["a.sub.frame.y[1] -> b.sub.u[1]", "a.sub.frame.y[2] -> b.sub.u[3]"]
+    )
+    assert [str(c.target) for c in pair.without("sub.u[1]").connections] == ["b.sub.u[3]"]
+    assert not pair.without("sub.u").connections
 
 
 # ---- SSP 2.0

@@ -4,21 +4,28 @@ The FMU of ticks.c refuses an access to a variable whose clock does not tick.
 """
 
 import csv
+from dataclasses import dataclass
 from fractions import Fraction
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from kit.any_fmu.description import packed
 from kit.any_fmu.models import bank_fmu, ticking_fmu
 from kit.mistakes import problem
 from kit.needs import needs
+from kit.properties import examples
+from kit.ssp import second, ssd, system, wire
 from zoo.faulty import faulty
 
 from orchestrator import Coupling, Master, RunFailed, assemble, load, run, write_ssp
-from orchestrator.engine.clocks import Clocks, Timed
 from orchestrator.engine.network import Texts
 from orchestrator.engine.result import Card, Event, write_events
+from orchestrator.fmi.clocks import ClockCalls, Schedule
+from orchestrator.fmi.description import FmuVariable
 from orchestrator.ssp.system import Port
+from orchestrator.studies import Factor, Output, Study, sweep
 
 DECIMAL = 'intervalVariability="constant" intervalDecimal="{}"'
 TENTH = DECIMAL.format("0.1")
@@ -117,17 +124,111 @@ def test_intervals_that_change(unit):
 def test_a_million_ticks_do_not_drift():
     """Tick k is exactly at shift + k interval, in the last fifty thousand, its time the nearest float."""
     shift, interval = Fraction(1, 7), Fraction(1, 3000)
-    kind = SimpleNamespace(get={"intervalVariability": "constant"}.get)
-    clocks, clock = object.__new__(Clocks), Timed(Port("unit", "tick"), None, kind, interval)
-    clocks._timed = [clock]
-    clock.schedule(shift + 950_000 * interval)
+    schedule, constant = Schedule(0.0), {"intervalVariability": "constant", "intervalDecimal": "1"}
+    clock = FmuVariable(name="tick", causality="input", attributes=constant)
+    schedule.add("tick", ClockCalls(None, "unit"), clock)
+    schedule.resume([[str(interval), str(shift + 950_000 * interval)]])
     for _ in range(50_000):
-        clocks.begin(clocks.next, 1e-11)
-        clocks.finish()
-    assert clock.next == shift + 1_000_000 * interval
-    assert clock.time == float(clock.next)
+        schedule.begin(schedule.next, 1e-11)
+        schedule.finish()
+    assert schedule.saved() == [[str(interval), str(shift + 1_000_000 * interval)]]
+    assert schedule.next == float(shift + 1_000_000 * interval)
 
 
+@dataclass
+class Node:
+    """A node of a random bus: a clock, as it is declared, exactly, and what it has counted.
+
+    source   the node whose frames, and whose count, it receives; None: none
+    """
+
+    declared: str
+    interval: Fraction
+    shift: Fraction
+    every: int
+    passes: int
+    source: int | None
+    count: int = 0
+    got: int = 0
+    heard: int = 0
+    total: int = 0
+    fired: bool = False
+
+
+@st.composite
+def nodes(draw):
+    """Clocks of a few periods that meet, each as a fraction or as a decimal number of 11 to 17 digits."""
+    found = []
+    for k in range(draw(st.integers(2, 4))):
+        interval = Fraction(draw(st.integers(1, 3)), draw(st.sampled_from([12, 14, 15, 21, 30])))
+        shift = draw(st.sampled_from([Fraction(0), interval, Fraction(1, 7)]))
+        digits = draw(st.sampled_from([0, 11, 12, 13, 15, 17]))
+        numbers = interval, shift
+        if digits:
+            texts = [f"{float(number):.{digits}f}" for number in numbers]
+            numbers = tuple(map(Fraction, texts))
+            declared = f'intervalVariability="fixed" intervalDecimal="{texts[0]}" shiftDecimal="{texts[1]}"'
+        else:
+            r = interval.denominator * shift.denominator
+            counters = f'intervalCounter="{interval * r}" shiftCounter="{shift * r}" resolution="{r}"'
+            exact = draw(st.sampled_from(["", ' supportsFraction="true" intervalDecimal="0.9"']))
+            declared = f'intervalVariability="fixed" {counters}{exact}'
+        source = draw(st.sampled_from([None, *range(k)]))
+        found.append(Node(declared, *numbers, draw(st.integers(1, 3)), draw(st.integers(0, 1)), source))
+    return found
+
+
+def simulated(bus, stop):
+    """The ticks and frames of a bus until a time, by exact arithmetic: (time, nodes that tick, that fire)."""
+    next_ticks, instants = [node.shift for node in bus], []
+    while (first := min(next_ticks)) <= stop:
+        due = [k for k, tick in enumerate(next_ticks) if tick - first <= Fraction(1, 10**11)]
+        for k, node in enumerate(bus):
+            source = None if node.source is None else bus[node.source]
+            node.count += k in due
+            if k in due and source:
+                node.total += source.count
+            come = source is not None and source.fired
+            node.got += come
+            node.heard = source.count if come else node.heard
+            node.fired = (k in due and node.count % node.every == 0) or (come and bool(node.passes))
+        instants.append((float(first), due, [k for k, node in enumerate(bus) if node.fired]))
+        next_ticks = [t + bus[k].interval * (k in due) for k, t in enumerate(next_ticks)]
+    return instants
+
+
+@given(bus=nodes(), master=st.sampled_from(MASTERS), step=st.sampled_from([0.033, 0.045]), able=st.booleans())
+@examples(12)
+def test_a_random_bus_is_that_of_exact_arithmetic(once, bus, master, step, able):
+    """Ticks, frames and sums of samples of nodes whose clocks meet exactly, nearly, or not."""
+    stop, files = 0.99, dict[str, object]()
+    for k, node in enumerate(bus):
+        home = once(f"n{node.declared}{able}".replace('"', "").replace(" ", ""), lambda _: None)
+        files[f"n{k}"] = ticking_fmu(home / "unit.fmu", node.declared, **{} if able else STATELESS)
+    wires = [
+        f"n{node.source}.{out} -> n{k}.{to}"
+        for k, node in enumerate(bus)
+        if node.source is not None
+        for out, to in (("fired", "come"), ("frame", "data"), ("count", "u"))
+    ]
+    start = {f"n{k}.{name}": getattr(n, name) for k, n in enumerate(bus) for name in ("every", "passes")}
+    result = run(assemble(files, wires, start), step=step, stop=stop, master=master, isolate=False)
+    instants = simulated(bus, Fraction(stop))
+    later = [(t, due) for t, due, _ in instants if t > 0]
+    ticked = [e for e in result.events if any(c.endswith(".tick") for c in e.causes)]
+    assert [[k for k in range(len(bus)) if f"n{k}.tick" in e.causes] for e in ticked] == [d for _, d in later]
+    # a tick may be at a point or an instant that is less than 1e-11 s away
+    np.testing.assert_allclose([e.time for e in ticked], [t for t, _ in later], atol=1.1e-11, rtol=0)
+    sent = [name for _, name, _ in result.texts if name.endswith(".frame")]
+    assert sorted(sent) == sorted(f"n{k}.frame" for *_, fired in instants for k in fired)
+    for k, node in enumerate(bus):
+        found = [result[f"n{k}.{name}"][-1] for name in ("count", "got", "heard")]
+        assert found == [node.count, node.got, node.heard]
+        if node.source is not None:
+            assert result[f"n{k}.y"][-1] == node.total
+
+
+STATELESS = {'FMUState="true" canS': 'FMUState="false" canS'}
 FRACTIONS = 'intervalVariability="{}" supportsFraction="true"'
 
 
@@ -238,6 +339,49 @@ def chain(unit):
     return assemble(files, CHAIN, {"a.every": 3, "b.passes": 1})
 
 
+def test_equal_frames_are_kept_at_each_tick(unit, tmp_path):
+    """b passes on what a sends; its own clock does not tick, so that its frame is 0000 each time."""
+    result = run(chain(unit), step=0.03, stop=0.99)
+    for name, value in (("b.frame", "0000"), ("b.text", "n0")):
+        sent = [(round(t, 9), v) for t, n, v in result.texts if n == name]
+        assert sent == [(0.2, value), (0.5, value), (0.8, value)]
+    result.write(tmp_path / "run.csv")
+    assert (tmp_path / "run.texts.csv").read_text().count("b.frame,0000") == 3
+
+
+@pytest.mark.parametrize("strict", [("b",), ("a", "b", "c"), ("c",)])
+def test_an_input_is_set_once_and_before_outputs_are_read(unit, strict):
+    """A repeater may refuse anything else in an instant (FMI-LS-BUS); no source is copied unread."""
+    result = run(chain(unit), step=0.03, stop=0.99, set={f"{name}.odd": 5 for name in strict})
+    assert (result["b.got"][-1], result["c.got"][-1]) == (3, 3)
+    assert [v for _, n, v in result.texts if n == "a.frame"] == ["0003", "0006", "0009"]
+    sampled = assemble({"a": unit(), "b": unit(name="b")}, [("a.y", "b.u", 2.0, 1.0)], {"a.u": 1.0})
+    sums = run(sampled, step=0.05, stop=0.5, set={f"{name}.odd": 5 for name in "ab"})
+    assert sums["b.y"][::2].tolist() == [k + k * (k + 1) for k in range(1, 7)]  # sum of 2 k + 1
+
+
+FRAME = 'name="frame" valueReference="40" causality="output" clocks="{}"'
+SENDS = {FRAME.format(2): FRAME.format(1)}
+
+
+@pytest.mark.parametrize("kind", ["constant", "changing", "countdown"])
+def test_a_clock_that_ticks_by_time_sends(unit, kind):
+    """To a triggered one, both inputs: in the same instant, with the frame of the first (FMI-LS-BUS)."""
+    interval = TENTH if kind == "constant" else f'intervalVariability="{kind}"'
+    files = {"a": unit(interval, **SENDS), "b": unit(DECIMAL.format("7") + ' shiftDecimal="6"', "b")}
+    result = run(assemble(files, ["a.tick -> b.come", "a.frame -> b.data"]), step=0.05, stop=0.95)
+    sent = [round(t, 9) for t, name, _ in result.texts if name == "a.frame"]
+    exact = [k / 10 for k in range(10)] if kind == "constant" else [0.1, 0.3, 0.4, 0.6, 0.7, 0.9]
+    assert sent == [round(t, 9) for t in exact]
+    assert result["b.got"][-1] == len(exact) == result["b.heard"][-1]
+    alone = run(assemble(files, ["a.frame -> b.data"]), step=0.05, stop=0.95)
+    never = "its clock b.come never ticks, because nothing is connected to it"
+    assert alone.card.notes == (f"b.data keeps its start value: {never}",)
+    assert "expected an output and an input, got input" in problem(
+        lambda: assemble(files, ["a.come -> b.come"])
+    )
+
+
 def test_texts_go_with_their_clocks(unit, tmp_path):
     """Every third tick fires through two FMUs in one instant; the file has changes only."""
     result = run(chain(unit), step=0.03, stop=0.99)
@@ -275,6 +419,18 @@ def test_two_nodes_of_a_bus_send_each_other_frames(unit, master):
         assert result[f"{receiver}.heard"].tolist() == result[f"{receiver}.got"].tolist()  # the last byte
 
 
+UNTOLD = {f' dependencies="{known}"': "" for known in ("1 3", "", "31 41", "20")}
+
+
+def test_strict_nodes_that_declare_no_dependencies_send_both_ways(unit):
+    """Rounds of an instant repeat until nothing changes, without setting the same value again."""
+    nodes = {"p": unit(**UNTOLD), "q": unit(TENTH + ' shiftDecimal="0.05"', "q", **UNTOLD)}
+    both = [f"{a}.y -> {b}.u" for a, b in ("pq", "qp")]
+    result = run(assemble(nodes, [*BUS, *both], {"p.odd": 5, "q.odd": 5}), step=0.025, stop=0.975)
+    assert [result[name][-1] for name in ("p.got", "q.got", "p.heard", "q.heard")] == [10, 10, 10, 10]
+    assert len([text for *_, text in result.texts if text == "0003"]) == 2
+
+
 def test_variables_of_an_output_clock_are_read(unit):
     """Also if it feeds no other clock: every second count, held in between."""
     of_fired = {'"10" causality="output" clocks="1"': '"10" causality="output" clocks="2"'}
@@ -303,15 +459,70 @@ def test_names_and_texts_of_all_letters_are_in_the_files(tmp_path):
             assert [*csv.reader(file)][1] == row
 
 
+def typed(kind, *names):
+    """Connectors of inputs (names that end in >) or outputs of one type."""
+    way = {True: "input", False: "output"}
+    return "".join(
+        f'<ssd:Connector name="{n.rstrip(">")}" kind="{way[n.endswith(">")]}"><ssc:{kind}/></ssd:Connector>'
+        for n in names
+    )
+
+
 def test_clocks_in_a_file(unit, tmp_path):
-    """Their wires and start values of binaries are refused in a line; without these the file is read."""
-    told = problem(lambda: write_ssp(chain(unit), tmp_path / "chain.ssp"))
-    assert told == "system: a.fired: expected a number or a text in a file, got a Clock"
+    """SSP 2.0 has wires of clocks and binaries and start values of binaries; SSP 1.0 has not, in a line."""
+    given = {"c.note": "abc", "c.word": "ab", "a.data": "00ff"}
+    whole, file = chain(unit).with_start(given), tmp_path / "chain.ssp"
+    told = problem(lambda: write_ssp(whole, file, version="1.0"))
+    expected = "expected a number or a text in SSP 1.0, got a Clock; version 2.0 has it"
+    assert told == f"system: a.fired: {expected}"
+    again = load(write_ssp(whole, file))
+    assert {*map(str, again.connections)} == {*map(str, whole.connections)}
+    assert all(again.components[n].start == whole.components[n].start for n in "abc")
+    found, direct = (run(system, step=0.03, stop=0.99) for system in (again, whole))
+    assert (found.texts, found["c.heard"].tolist()) == (direct.texts, direct["c.heard"].tolist())
     alone = load(unit())
-    told = problem(lambda: write_ssp(alone.with_start({"unit.data": "00ff"}), tmp_path / "start.ssp"))
-    assert told == "unit: unit.data: expected a number or a text in a file, got a Binary"
-    again = run(load(write_ssp(alone, tmp_path / "alone.ssp")), step=0.05, stop=0.5)
-    assert again["unit.count"][-1] == 6
+    told = problem(lambda: write_ssp(alone.with_start({"unit.data": "00ff"}), file, version="1.0"))
+    assert told == f"unit: unit.data: {expected.replace('Clock', 'Binary')}"
+    old = run(load(write_ssp(alone, file, version="1.0")), step=0.05, stop=0.5)
+    assert old["unit.count"][-1] == 6
+
+
+def test_a_bus_through_systems_of_a_file(unit, tmp_path):
+    """Connectors of an inner system and of the whole one; nothing ticks a clock at an input of the system."""
+    parts = {
+        name: f'<ssd:Component name="{name}" source="unit.fmu"><ssd:Connectors>{ends}</ssd:Connectors>'
+        "</ssd:Component>"
+        for name, ends in {
+            "p": typed("Clock", "fired") + typed("Binary", "frame"),
+            "q": typed("Clock", "come>", "fired") + typed("Binary", "data>", "frame"),
+        }.items()
+    }
+    ends = typed("Clock", "c") + typed("Binary", "d")
+    inner = system([parts["p"]], [wire("p.fired", "c"), wire("p.frame", "d")], ends, name="left")
+    outer = typed("Clock", "sent", "idle>") + typed("Binary", "frames", "from>")
+    notes = ("idle: left out, a clock at an input of the system, where nothing ticks",)
+    tells = [wire("q.fired", "sent"), wire("q.frame", "frames")]
+    silent = f"{notes[0]}|q.data keeps its start value: its clock q.come never ticks"
+    for wires, got, told in (
+        ([wire("q.come", "left.c"), wire("left.d", "q.data")], 11, notes[0]),  # either direction
+        ([wire("idle", "q.come"), wire("from", "q.data")], 0, silent),
+    ):
+        text = second(ssd(system([inner, parts["q"]], [*wires, *tells], outer)))
+        members = {"SystemStructure.ssd": text, "unit.fmu": unit().read_bytes()}
+        result = run(load(packed(tmp_path / "bus.ssp", members)), step=0.05)  # from 0.5 s to 1.5 s
+        assert result["q.got"][-1] == got
+        assert [word in note for word, note in zip(told.split("|"), result.card.notes, strict=False)]
+        assert len(result.card.notes) == len(told.split("|"))
+
+
+def test_a_study_and_real_time_take_a_bus_from_a_file(unit, tmp_path):
+    """Every second or third tick of 0.1 s sends a frame, from 0 s on: 5 or 3 in 1 s."""
+    write_ssp(chain(unit), tmp_path / "bus.ssp")
+    factor = Factor("a.every", "values", {"values": (2.0, 3.0)})
+    output = Output("got", "b.got", "final")
+    timed = {"stop": 0.95, "step": 0.05}
+    study = Study("bus", str(tmp_path / "bus.ssp"), "grid", factors=(factor,), outputs=(output,), **timed)
+    assert sweep(study, tmp_path / "out", workers=1).table["output:got"].tolist() == [5.0, 3.0]
 
 
 def test_ticks_of_a_run_in_parts(unit, tmp_path):

@@ -12,6 +12,7 @@ from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, assemble, read_trace, run, validate, write_trace
 from orchestrator.__main__ import main
+from orchestrator.base.signals import matching
 from orchestrator.engine.result import newest_trace
 
 TIME = np.linspace(0.0, 1.0, 101)
@@ -62,6 +63,33 @@ def test_what_shows_nothing_is_left_out_unless_it_is_chosen():
     assert whole.matching(["a.*", "u"]) == ["a.y", "a.const", "b.u"]
     for refused in (lambda: whole.matching(["v"]), lambda: whole.plot("v")):
         problem(refused, r"^no signal v in the run")
+
+
+@pytest.mark.parametrize(
+    ("pattern", "selected"),
+    [
+        ("y[1]", ["a.sub.y[1]", "b.y[1]"]),  # an element, no set of letters
+        ("sub.y[1]", ["a.sub.y[1]"]),  # a variable with a dot
+        ("a.sub.y", ["a.sub.y[1]", "a.sub.y[2]"]),  # an array
+        ("sub.y", ["a.sub.y[1]", "a.sub.y[2]"]),
+        ("m[1,*]", ["b.m[1,1]", "b.m[1,2]"]),
+        ("sub.*", ["a.sub.y[1]", "a.sub.y[2]"]),
+        ("y[?]", ["a.sub.y[1]", "a.sub.y[2]", "b.y[1]"]),
+        ("b.*", ["b.y[1]", "b.m[1,1]", "b.m[1,2]", "b.m[2,1]"]),
+        ("[ab].*", []),
+        ("ub.y", []),
+        ("y1", []),
+    ],
+)
+def test_one_rule_for_the_names_of_signals(pattern, selected):
+    """With dots, of elements and of arrays; only * and ? are wild."""
+    names = ["a.sub.y[1]", "a.sub.y[2]", "b.y[1]", "b.m[1,1]", "b.m[1,2]", "b.m[2,1]"]
+    assert matching(names, pattern) == selected
+    trace = Trace(TIME, {name: np.full(101, k) for k, name in enumerate(names)})
+    if selected:
+        assert trace.matching([pattern]) == selected
+    if len(selected) == 1:
+        assert trace[pattern][0] == names.index(selected[0])
 
 
 def test_a_joint_has_its_colour_in_each_panel():

@@ -100,7 +100,20 @@ def one(*wires, **more):
 
 EXCEL = 'source="p.xlsx" type="application/vnd.ms-excel"'
 TIMES_TWO = '<ssc:LinearTransformation factor="2"/>'
-BINARY = typed("Binary")
+BUS = {"come": ("Clock", "input"), "data": ("Binary", "input"), "fired": ("Clock", "output")}
+
+
+def bus(*wires):
+    """A file with two nodes of a bus, see ticks.c."""
+    names = {**BUS, "frame": ("Binary", "output")}
+    ends = "".join(typed(kind, "", name, way) for name, (kind, way) in names.items())
+    parts = [
+        f'<ssd:Component name="{n}" source="unit.fmu"><ssd:Connectors>{ends}</ssd:Connectors></ssd:Component>'
+        for n in "ab"
+    ]
+    return ssd(system(parts, wires))
+
+
 LISTS = inline(
     ("m", '<ssv:Float64 value="1 0 0 1"/>'),
     ("k", '<ssv:Float64 value="1 2"/>'),
@@ -121,8 +134,8 @@ SSP = [
     ("connector with Dimension, connected whole", bank(wire("w", "a.u"))),
     ("of another size than that of the FMU", bank(wire("a.y", "a.u"))),
     ("`startIndices`, `endIndices`", bank(wire("command", "a.u", extra='endIndices="2"'))),
-    ("connector of type Binary or Clock, not connected", one(connectors=BINARY)),
-    ("the same, connected", one(wire("command", "a.t"), connectors=BINARY)),
+    ("connectors of types Clock and Binary", bus(wire("a.fired", "b.come"), wire("a.frame", "b.data"))),
+    ("Binary of a clock that nothing ticks", bus(wire("a.frame", "b.data"))),
     ("list of values for an array, with its size", bank(more=LISTS)),
     ("list of values for a scalar", one(more=inline(("offset", VALUES[0])))),
     ("Binary as a parameter's value", one(more=inline(("offset", VALUES[1])))),
@@ -164,7 +177,7 @@ def table(folder):
         )
         clocks = outcome(ticking_fmu(folder / "unit.fmu", attributes))
         rows.append(f"|FMI 3.0|{interval} and triggered Clock, with event mode|{clocks}|")
-    clocks = outcome(ticking_fmu(folder / "unit.fmu", 'intervalVariability="fixed"'))
+    clocks = outcome(units := ticking_fmu(folder / "unit.fmu", 'intervalVariability="fixed"'))
     rows.append(f"|FMI 3.0|fixed Clock whose interval and shift the FMU tells|{clocks}|")
     scheduled = outcome(workshop.make("types", "scheduled", kind="ScheduledExecution"))
     rows.append(f"|FMI 3.0|Scheduled Execution only, as Clocks of the Reference-FMUs|{scheduled}|")
@@ -179,7 +192,7 @@ def table(folder):
         version = 3 if "version 3" in element else 2
         edition = second(text).replace('version="2.0" name', f'version="{version}.0" name', 1)
         parts = {"SystemStructure.ssd": edition, "g.fmu": workshop["gain"].read_bytes()}
-        parts["bank.fmu"] = arrays.read_bytes()
+        parts |= {"bank.fmu": arrays.read_bytes(), "unit.fmu": units.read_bytes()}
         rows.append(f"|SSP 2.0|{element}|{outcome(packed(folder / f'{n}' / 'system.ssp', parts))}|")
     sizes = '<ssc:Dimension size="2"/>'
     wired = assemble({"a": arrays, "b": arrays}, ["a.y -> b.u"], {"b.n": 2, "b.k": "1 2", "b.m": "1 0 0 1"})

@@ -105,7 +105,9 @@ class Trial:
         resources = resources_location(self.folder, self.description.major)
         usual: InstanceOptions = {"token": self.description.token, "resources": resources, "name": "probe"}
         given: InstanceOptions = {**usual, **options}
-        if not instance.instantiate(**given):
+        able = kind == "CoSimulation" and self.description.interfaces[kind].declares("hasEventMode")
+        used = able and any(v.kind == "Clock" for v in self.description.variables)  # as in a run
+        if not any(instance.instantiate(**given, events=events) for events in dict.fromkeys((used, able))):
             call = instance.describe_call("Instantiate")
             raise CallFailed(f"{call} returns no instance{log.quoted_messages()}", ERROR)
         self._instances += 1

@@ -12,6 +12,7 @@ import numpy as np
 
 from orchestrator.check.tasks.runner import Remark, Trial
 from orchestrator.check.tasks.trial_run import (
+    EventMode,
     Integrator,
     Rows,
     Simulation,
@@ -122,7 +123,9 @@ def _continue(trial: Trial, simulation: Simulation, saved: Any, fresh: bool) -> 
     """Rows after the saved state; `fresh`: it is restored right after instantiation."""
     if fresh and trial.kind == "ModelExchange":
         simulation.integrator = Integrator(simulation.instance, trial.description)
-    if not fresh:
+    if fresh and simulation.instance.events:
+        simulation.events = EventMode(trial, simulation.instance, simulation.start)
+    elif not fresh:
         simulation.begin()
     simulation.initial_inputs = np.array(saved["initial_inputs"])
     state = simulation.instance.deserialize(saved["data"])

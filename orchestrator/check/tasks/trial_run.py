@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.check.tasks.runner import InstanceOptions, Trial
 from orchestrator.fmi.calls import address
+from orchestrator.fmi.clocks import ClockCalls, Schedule
 from orchestrator.fmi.description import FLOATS, MAX_LOCALS, Entry, FmuVariable, ModelDescription
-from orchestrator.fmi.instance import CallFailed, FmuInstance, settle
+from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, CallFailed, FmuInstance, settle
 from orchestrator.fmi.library import Library
 from orchestrator.fmi.messages import DISCARD, ERROR
 
@@ -31,14 +32,15 @@ PATTERN = np.array([1.0, -0.5, 0.25, -1.0, 0.5, 0.0, 0.75, -0.25])  # perturbati
 PERTURBATION = 1e-3  # relative to the magnitude of an input: small, because the valid range is unknown
 ROUNDING = 1e-13  # relative to nominal; smaller outputs are read as zero
 MAX_LISTED = 5  # inputs listed in a message
+TOLERANCE_OF_TIME = 1e-11  # of an event [s], as in a run
 
 
 # ---- variables and default experiment
 
 
 def numeric(description: ModelDescription, *causalities: str) -> list[FmuVariable]:
-    """Numeric variables of these causalities."""
-    return [v for v in description.of(*causalities) if v.is_number]
+    """Numeric variables of these causalities that belong to no clock: they can be read at any time."""
+    return [v for v in description.of(*causalities) if v.is_number and not v.clocked]
 
 
 def observed(description: ModelDescription) -> list[FmuVariable]:
@@ -115,7 +117,7 @@ class VariableValues:
 
 def scalars(variables: Sequence[FmuVariable]) -> list[str]:
     """Names of the scalar elements of some variables."""
-    return [v.name if v.size == 1 else f"{v.name}[{i}]" for v in variables for i in range(v.size)]
+    return [name for v in variables for name in v.elements]
 
 
 def flat(variables: Sequence[FmuVariable]) -> list[FmuVariable]:
@@ -283,6 +285,61 @@ class Integrator:
         return new, error if math.isfinite(error) else math.inf
 
 
+# ---- event mode of co-simulation
+
+
+class EventMode:
+    """Co-Simulation of FMI 3.0 with event mode: the events of an instance, and ticks of clocks by time.
+
+    sampled     name -> latest value of the outputs of these clocks, which are read at a tick only
+    announced   time of the next event that the FMU has announced [s]
+    """
+
+    def __init__(self, trial: Trial, instance: FmuInstance, start: float) -> None:
+        """In initialisation mode, at its end."""
+        self._instance, self._calls = instance, ClockCalls(instance, "the FMU")
+        self._schedule, self._outputs = Schedule(start), dict[FmuVariable, VariableValues]()
+        self._calls.ask(trial.description.of("input"))
+        outputs = [v for v in trial.description.of("output") if v.is_number]
+        for clock in (v for v in trial.description.of("input") if v.kind == "Clock"):
+            self._schedule.add(clock, self._calls, clock)
+            of_clock = [v for v in outputs if clock.reference in v.clocks]
+            self._outputs[clock] = VariableValues(trial, instance, of_clock)
+        self.sampled, self.announced = dict[str, float](), math.inf
+
+    @property
+    def next(self) -> float:
+        """Time of the next event that the FMU has announced, or of the next tick [s]."""
+        return min(self.announced, self._schedule.next)
+
+    def pass_through(self, time: float) -> bool:
+        """An event at the end of a step, or of initialisation; True if the FMU ends the simulation."""
+        ended = False
+        for _ in range(MAX_EVENT_ITERATIONS):
+            for clock in (due := self._schedule.begin(time, TOLERANCE_OF_TIME)):
+                self._calls.tick(clock)
+            for values in (self._outputs[clock] for clock in due):
+                self.sampled |= zip(values.names, values.get().tolist(), strict=True)
+            update = {"the FMU": self._instance.update_discrete_states}
+            end, times = settle("the event iteration does not end", update)
+            self._schedule.finish()
+            self.announced, ended = times["the FMU"], ended or bool(end)
+            self._instance.call("EnterStepMode")
+            if ended or self._schedule.next > time + TOLERANCE_OF_TIME:
+                break
+            self._instance.call("EnterEventMode")
+        return ended
+
+    def bookmark(self) -> list[Any]:
+        """What a saved FMU state does not have."""
+        return [self.announced, self._schedule.saved()]
+
+    def return_to(self, bookmark: Sequence[Any]) -> None:
+        """Go on from a bookmark."""
+        self.announced, ticks = bookmark
+        self._schedule.resume(ticks)
+
+
 # ---- a run
 
 
@@ -294,6 +351,7 @@ class Simulation:
     early            the FMU returned early from the last step
     initial_inputs   values of the inputs after initialisation
     integrator       in Model Exchange, after initialisation
+    events           in Co-Simulation with event mode, after initialisation
     """
 
     def __init__(
@@ -319,7 +377,8 @@ class Simulation:
         self.inputs = self.values(continuous_inputs(description) if inputs is None else inputs)
         self.outputs = self.values(observed(description))
         self.integrator: Integrator | None = None
-        self._ended = self.early = False
+        self.events: EventMode | None = None
+        self._ended = self.early = self._asks = False
         self.initial_inputs = np.zeros(0)
 
     def values(self, variables: Sequence[FmuVariable]) -> VariableValues:
@@ -335,8 +394,13 @@ class Simulation:
         """Enter and leave initialisation mode; Model Exchange is in event mode afterwards."""
         self.instance.setup(self.start, self.stop)
         self.instance.enter()
-        self.instance.leave()
+        self.leave()
         return self
+
+    def leave(self) -> None:
+        """Leave initialisation mode; with event mode the FMU is in it afterwards."""
+        self.events = EventMode(self.trial, self.instance, self.start) if self.instance.events else None
+        self.instance.leave()
 
     def begin(self) -> Simulation:
         """Initialise, and be ready for steps."""
@@ -350,6 +414,8 @@ class Simulation:
         if self.kind == "ModelExchange":
             self.integrator = Integrator(self.instance, self.trial.description)
             self.integrator.begin(self.start)
+        if self.events:
+            self._ended = self.events.pass_through(self.start)
         self.initial_inputs = self.inputs.get()
 
     def perturb(self, step: int | None = None) -> None:
@@ -366,7 +432,7 @@ class Simulation:
         self.early, status = False, self.instance.step(time, length)
         if self.instance.fmi == 3 or status == DISCARD:
             end = self.instance.step_end(status)
-            self._ended, self.early = end.terminate, end.early
+            self._ended, self.early, self._asks = end.terminate, end.early, end.event
             self.reached = time + length if math.isnan(end.reached) else end.reached
         else:
             self.reached = time + length
@@ -380,8 +446,20 @@ class Simulation:
             self.integrator.advance(self.step, MAX_INNER_STEPS)
             self.time = self.integrator.time
             return
-        self.do_step(self.time, self.step)
-        self.time = self.time + self.step if self.summed else self.start + self.step_count * self.step
+        end = self.time + self.step if self.summed else self.start + self.step_count * self.step
+        divides = self.trial.interface.declares("canHandleVariableCommunicationStepSize")
+        while divides and self.events and self.time < self.events.next < end - TOLERANCE_OF_TIME:
+            self._step_to(self.events.next, self.events.next - self.time)
+        if not self._ended:
+            self._step_to(end, self.step if end - self.time > 0.5 * self.step else end - self.time)
+
+    def _step_to(self, end: float, length: float) -> None:
+        """One step, and an event at its end, if there is one."""
+        self.do_step(self.time, length)
+        self.time = end
+        if self.events and (self._asks or self.events.next <= end + TOLERANCE_OF_TIME):
+            self.instance.call("EnterEventMode")
+            self._ended = self.events.pass_through(end) or self._ended
 
     def row(self) -> Vector:
         """Outputs; values below rounding error relative to nominal are read as 0, and -0 as 0."""
@@ -404,11 +482,13 @@ class Simulation:
         """The state of the run outside of the FMU, to continue from a saved FMU state."""
         e = self.integrator
         inner = (e.time, e.next_event, e.step_size, e.nominal.tolist()) if e else None
-        return self.step_count, self.time, inner
+        return self.step_count, self.time, inner, self.events and self.events.bookmark()
 
     def return_to(self, bookmark: Sequence[Any]) -> None:
         """Continue from a bookmark."""
-        self.step_count, self.time, inner = bookmark
+        self.step_count, self.time, inner, events = bookmark
+        if self.events and events is not None:
+            self.events.return_to(events)
         if self.integrator is not None and inner is not None:
             e = self.integrator
             e.time, e.next_event, e.step_size, nominal = inner

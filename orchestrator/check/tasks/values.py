@@ -55,7 +55,7 @@ def _inputs_in_initialisation(trial: Trial) -> Iterator[Remark]:
     simulation.initial_inputs = simulation.inputs.get()
     simulation.perturb(0)
     inputs = simulation.inputs.get()
-    simulation.instance.leave()
+    simulation.leave()
     simulation.begin_steps()
     before = simulation.row()
     if simulation.inputs.names:
@@ -104,6 +104,9 @@ def default(trial: Trial) -> Iterator[Remark]:
     if problem := not_finite(simulation.outputs.names, [initial]):
         yield "error", f"after initialisation {problem}"
     yield from _invalid_outputs(simulation, rows)
+    sampled = simulation.events.sampled if simulation.events else {}
+    if problem := not_finite([*sampled], [np.array([*sampled.values()])]):
+        yield "error", f"at the latest tick of its clock {problem}"
     yield from _last_time(simulation)
     simulation.close()
     trial.summed = simulation.summed

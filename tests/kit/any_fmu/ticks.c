@@ -9,6 +9,7 @@
  *           2: getters of numbers that belong to clocks round upwards from then on
  *   odd     1: each interval is told as changed; 2: no interval and no shift is written; 3: no interval is known in
  *           initialisation mode; 4: to ask there is an error
+ *           5: in an instant an input or a clock that is set again, or after an output of a clock was read, is an error
  *   note    text without a clock: noted = its length
  *
  * A variable that is set or read while its clock does not tick, and a clock that ticks or is asked for its interval in step
@@ -24,7 +25,7 @@
 
 enum { TICK = 1, FIRED, COME, COUNT = 10, GOT, HEARD, EVERY, PASSES, MOST, NOTED, TRAPS, ODD, U = 20, Y, PERIOD, DELAY, TEXT = 30, WORD, NOTE, FRAME = 40, DATA };
 typedef struct {
-    int mode, ticks, comes, count, got, heard, every, passes, most, told, traps, odd; /* mode: 0 before steps, 1 step, 2 event */
+    int mode, read, set, ticks, comes, count, got, heard, every, passes, most, told, traps, odd; /* mode: 0 before steps, 1 step, 2 event */
     double u, s, period, delay;
     char text[20], word[200], note[200];
     fmi3Byte frame[2], data[200];
@@ -65,12 +66,16 @@ fmi3Status fmi3EnterStepMode(fmi3Instance c) { return ((Unit *)c)->mode = 1, fmi
 fmi3Status fmi3Terminate(fmi3Instance c) { return (void)c, fmi3OK; }
 fmi3Status fmi3Reset(fmi3Instance c) { return (void)c, fmi3OK; }
 
+static int refuses(Unit *m, int bit) {
+    const int again = m->mode == 2 && m->odd == 5 && (m->read || m->set & bit);
+    return m->set |= bit, again;
+}
 static int fired(const Unit *m) { return (m->ticks && m->count % m->every == 0) || (m->comes && m->passes); }
 
 fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Clock on[]) {
     Unit *m = c;
     trap(m);
-    if (m->mode != 2 || n != 1 || !on[0]) return fmi3Error;
+    if (m->mode != 2 || n != 1 || !on[0] || refuses(m, 1 << r[0])) return fmi3Error;
     if (r[0] == TICK && !m->ticks++) m->count++, m->told = 0;
     if (r[0] == COME && !m->comes++) m->got++;
     return m->ticks > 1 || m->comes > 1 ? fmi3Error : fmi3OK;
@@ -110,7 +115,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *a, fmi3Boolean 
                                     fmi3Float64 *t) {
     Unit *m = c;
     if (m->ticks) m->s += m->u;
-    m->ticks = m->comes = 0, trap(m);
+    m->ticks = m->comes = m->read = m->set = 0, trap(m);
     return (void)t, *a = *b = *d = *e = *f = 0, fmi3OK;
 }
 fmi3Status fmi3GetInt32(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Int32 y[], size_t k) {
@@ -118,6 +123,7 @@ fmi3Status fmi3GetInt32(fmi3Instance c, const fmi3ValueReference r[], size_t n, 
     (void)k;
     for (size_t i = 0; i < n; i++) {
         if (!(r[i] == COUNT ? m->ticks : r[i] == NOTED || m->comes)) return fmi3Error;
+        m->read |= r[i] != NOTED;
         m->heard = (int)strlen(m->word) + (m->length ? m->data[m->length - 1] : 0);
         y[i] = r[i] == COUNT ? m->count : r[i] == GOT ? m->got : r[i] == HEARD ? m->heard : (int)strlen(m->note);
     }
@@ -136,6 +142,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
     for (size_t i = 0; i < n; i++)
         if (r[i] == U || r[i] == Y) {
             if (!m->ticks) return fmi3Error;
+            m->read |= r[i] == Y;
             y[i] = r[i] == U ? m->u : m->s + m->u;
         } else y[i] = r[i] == DELAY ? m->delay : m->period;
     if (m->ticks) round_up(m);
@@ -145,7 +152,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
     Unit *m = c;
     (void)k;
     for (size_t i = 0; i < n; i++) {
-        if (r[i] == U && m->mode && !m->ticks) return fmi3Error;
+        if (r[i] == U && m->mode && (!m->ticks || refuses(m, 1 << 4))) return fmi3Error;
         *(r[i] == U ? &m->u : r[i] == DELAY ? &m->delay : &m->period) = y[i];
     }
     return fmi3OK;
@@ -154,11 +161,13 @@ fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference r[], size_t n,
     Unit *m = c;
     (void)n, (void)k;
     snprintf(m->text, sizeof m->text, "n%d", m->count);
+    m->read |= r[0] == TEXT;
     return y[0] = r[0] == NOTE ? m->note : m->text, r[0] == NOTE || fired(m) ? fmi3OK : fmi3Error;
 }
 fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3String y[], size_t k) {
     Unit *m = c;
     (void)n, (void)k;
+    if (r[0] == WORD && refuses(m, 1 << 5)) return fmi3Error;
     snprintf(r[0] == WORD ? m->word : m->note, sizeof m->word, "%s", y[0]);
     return !m->mode || (r[0] == WORD ? m->comes : m->mode == 2) ? fmi3OK : fmi3Error;
 }
@@ -166,11 +175,13 @@ fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t n,
     Unit *m = c;
     (void)r, (void)n, (void)k;
     m->frame[0] = 0, m->frame[1] = (fmi3Byte)m->count;
+    m->read = 1;
     return sizes[0] = 2, y[0] = m->frame, fired(m) ? fmi3OK : fmi3Error;
 }
 fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t n, const size_t sizes[], const fmi3Binary y[], size_t k) {
     Unit *m = c;
     (void)r, (void)n, (void)k;
+    if (refuses(m, 1 << 6)) return fmi3Error;
     m->length = sizes[0] < sizeof m->data ? sizes[0] : sizeof m->data;
     memcpy(m->data, y[0], m->length);
     return !m->mode || m->comes ? fmi3OK : fmi3Error;
