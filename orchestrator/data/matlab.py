@@ -14,7 +14,6 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,7 +61,7 @@ class NotNumbers:
 def read_variables(file: Location) -> dict[str, Any]:
     """Arrays and texts by name, scalar structs as dictionaries, anything else as `NotNumbers`."""
     try:
-        if not file.members and _is_version_7_3(file.path):
+        if not file.members and _is_version_7_3(file):
             require("files", f"{file}: a MATLAB file of version 7.3", "h5py")
             import h5py
 
@@ -76,19 +75,15 @@ def read_variables(file: Location) -> dict[str, Any]:
         raise Problem(f"{file}: expected a MATLAB file, got {first_line(error)}") from None
 
 
-def _is_version_7_3(path: Path) -> bool:
+def _is_version_7_3(file: Location) -> bool:
     """True if a file has the signature of HDF5 at byte 0, or after a header of 512, 1024, 2048, ... bytes."""
-    try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            start = 0
-            while start < size:
-                file.seek(start)
-                if file.read(len(HDF5)) == HDF5:
-                    return True
-                start = max(512, 2 * start)
-    except OSError:  # the reader says why it cannot be read
-        pass
+    with file.opened() as opened:
+        size, start = opened.seek(0, os.SEEK_END), 0
+        while start < size:
+            opened.seek(start)
+            if opened.read(len(HDF5)) == HDF5:
+                return True
+            start = max(512, 2 * start)
     return False
 
 

@@ -619,6 +619,7 @@ def metadata_text(
     return json.dumps(data, indent=1, ensure_ascii=False, default=str) + "\n"
 
 
+MAX_HEADING = 1000  # bytes of a line, far more than those of the headings below
 EVENTS, TEXTS = ("time", "causes"), ("time", "signal", "text")  # headings of files
 
 
@@ -632,8 +633,10 @@ def write_events(card: Card, trace: Path) -> None:
             csv.writer(lines, lineterminator="\n").writerows([head, *rows])
             write_whole(file, lines.getvalue())
         elif file.is_file():
-            with file.open(encoding="utf-8", errors="replace") as stream:
-                if stream.readline().strip() == ",".join(head):  # it could be a trace of another name
+            with Location(file).opened() as stream:
+                if (
+                    stream.readline(MAX_HEADING).strip() == ",".join(head).encode()
+                ):  # it could be a trace of another name
                     file.unlink()
 
 
@@ -644,7 +647,7 @@ def read_metadata(path: Path) -> RunMetadata | None:
     """
     file = metadata_file(path)
     if file.is_file():
-        loaded, digest = _parsed(file, file.read_text(encoding="utf-8"))
+        loaded, digest = _parsed(file, Location(file).text())
         if digest == Location(path).sha256:
             return loaded
     inside = read_origin(path)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
 
 LONGEST = 2**20  # characters of the header line; that of a run with all signals has some thousand
 SUFFIXES = (".csv", ".parquet")
@@ -47,9 +48,9 @@ def columns_of(path: Path) -> list[str]:
     try:
         if path.suffix.lower() == ".parquet":
             return _columns_of_parquet(path)
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            header = file.readline(LONGEST)
-    except (OSError, ValueError):
+        with Location(path).opened() as file:
+            header = file.readline(LONGEST).decode("utf-8-sig")
+    except (Problem, OSError, ValueError):
         return []
     return [name.strip() for name in next(csv.reader([header]), [])]
 
