@@ -27,6 +27,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
 from orchestrator.base.interrupts import time_limit
+from orchestrator.base.numerals import finite
 from orchestrator.base.text import first_names
 from orchestrator.base.units import parse_unit
 from orchestrator.data.matlab import ERRORS, MAX_BYTES
@@ -92,7 +93,7 @@ def labview_table(file: Location, text: str) -> str:
     entries = {key: values for key, *values in (row.split(mark) for row in "".join(headers).splitlines())}
     try:
         steps = [step for step in entries["Delta_X"] if step.strip()]
-        start, every = (float(n.replace(",", ".")) for n in (entries["X0"][0], steps[0]))
+        start, every = (finite(n.replace(",", ".")) for n in (entries["X0"][0], steps[0]))
         _, names, *rows = (line.split(mark) for line in table.splitlines())
     except (LookupError, ValueError):
         raise Problem(f"{file}: expected a LabVIEW file, got one without X0, Delta_X or names") from None

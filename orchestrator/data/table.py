@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
+from orchestrator.base.numerals import real
 from orchestrator.base.processes import FLOAT64
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
@@ -53,7 +54,9 @@ MOST_HEADINGS = 3  # rows of texts below the names: units, channels, comments
 DAY, FIRST_DATE, LAST_DATE = 86400.0, 1e9, 1e11  # [s]; times in between are seconds since 1970
 # days of a spreadsheet in the years 1970 to 2099; steps of a logger are shorter than 9 s = 1e-4 d
 FIRST_DAY, LAST_DAY, LONGEST_STEP = 25569.0, 73050.0, 1e-4
-NUMBER = re.compile(r"([-+]?(?:\d[\d.,']*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\W\d_].*|[%°].*)?")  # and its unit
+NUMBER = re.compile(
+    r"([-+]?(?:[0-9][0-9.,']*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?)\s*([^\W\d_].*|[%°].*)?"
+)  # and its unit
 DATE = re.compile(r"\d\d?\.\d\d?\.\d{4}|\d{4}-\d\d-\d\d")
 GERMAN_DATE = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?= |$)")
 MATLAB_DATE = re.compile(r"(\d\d)-([A-Z][a-z]{2})-(\d{4})(?= )")
@@ -434,7 +437,8 @@ class _Text:
         for j, (name, index) in enumerate(indices.items()):
             cells = [row[index].strip() for row in split]
             try:
-                if point == "," and any("." in cell for cell in cells):
+                text = "".join(cells)
+                if (point == "," and "." in text) or "_" in text or not text.isascii():
                     raise ValueError
                 table[:, j] = np.array([cell.replace(point, ".") for cell in cells], float)
             except ValueError:
@@ -624,7 +628,7 @@ def _name_list(names: Sequence[str]) -> str:
 def _number(cell: str) -> float | None:
     """The number in a cell, 1 for true, 0 for false, NaN for a gap, None for any other text."""
     try:
-        return float(cell)
+        return real(cell)
     except ValueError:
         word = cell.strip().lower()
         return math.nan if word in GAP_MARKS else WORDS.get(word)

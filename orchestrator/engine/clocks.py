@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.numerals import integer
 from orchestrator.base.text import grouped
 from orchestrator.engine.network import Network
 from orchestrator.fmi.cosimulation import APERIODIC, CHANGED, UNKNOWN, RunningFmu
@@ -219,5 +220,6 @@ class Clocks:
     def resume(self, saved: list[Any]) -> None:
         """Go on from a saved run."""
         for c, texts in zip(self._timed, saved, strict=True):
-            c.interval, tick = (None if text == "None" else Fraction(text) for text in texts)
+            parts = (text != "None" and [*map(integer, text.split("/"))] for text in texts)
+            c.interval, tick = (Fraction(*numbers) if numbers else None for numbers in parts)
             c.schedule(tick)

@@ -419,11 +419,12 @@ class RunningFmu:
         call()
         if more and results[-1][0] == UNKNOWN:
             return Fraction(0), results[-1]
-        if exact:
-            return Fraction(results[0][0], results[1][0] or 1), results[-1]
-        if not np.isfinite(seconds := results[0][0]):
+        if exact and results[1][0]:
+            return Fraction(results[0][0], results[1][0]), results[-1]
+        if exact or not np.isfinite(seconds := results[0][0]):
             name, what = f"{self.name}.{clock.name}", "a shift" if as_decimal in SHIFT else "an interval"
-            raise Problem(f"{name}: expected {what} in seconds, got {seconds}")
+            got = f"{results[0][0]}/0" if exact else seconds
+            raise Problem(f"{name}: expected {what} in seconds, got {got}")
         return Fraction(repr(seconds)), results[-1]
 
     def enter_events(self) -> None:

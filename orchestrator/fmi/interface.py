@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
+from sys import float_info
 from typing import Any
 
 from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
@@ -364,10 +365,11 @@ def _check(
                 raise Problem(
                     f"{v.name} has a clock: expected Co-Simulation with event mode, got an FMU without"
                 )
-            if v.kind == "Clock" and [p for n in ("interval", "shift") if (p := v.fraction(n) or 0) < 0]:
-                raise ValueError(f"{v.get('intervalDecimal') or v.get('shiftDecimal')!r}")
+            for name in ("interval", "shift") if v.kind == "Clock" else ():
+                if not 0 <= (v.fraction(name) or 0) <= float_info.max:
+                    raise ValueError(f"expected 0 s or more, got {v.get(f'{name}Decimal')!r}")
         except ValueError as error:
-            raise Problem(f"{v}: expected interval and shift of a clock in seconds, got {error}") from None
+            raise Problem(f"{v}: interval and shift of a clock [s]: {error}") from None
     ports = [v.name for v in declared if v.causality in ("input", "output")]
     if ports and all(name in unsupported for name in ports):
         first = f"{ports[0]} is {unsupported[ports[0]]}"

@@ -16,6 +16,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orchestrator.base.numerals import integer
 from orchestrator.check.tasks.runner import InstanceOptions, Trial
 from orchestrator.fmi.calls import address
 from orchestrator.fmi.description import FLOATS, MAX_LOCALS, Entry, FmuVariable, ModelDescription
@@ -168,7 +169,7 @@ class Integrator:
     def __init__(self, instance: FmuInstance, description: ModelDescription) -> None:
         self.instance, self.ended = instance, False
         self.count = len(description.structure["derivatives"])
-        self.indicators = int(description.attributes.get("numberOfEventIndicators", "0"))
+        self.indicators = integer(description.get("numberOfEventIndicators", "0"))
         if instance.fmi == 3:
             self.count = self._size("GetNumberOfContinuousStates")
             self.indicators = self._size("GetNumberOfEventIndicators")
