@@ -35,7 +35,7 @@ from orchestrator.base.text import first_names
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
 from orchestrator.base.units import factor_and_offset, is_unit
 from orchestrator.data.logger_files import CLOCK, channels, labview_table, logger_format, on_one_clock
-from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, first_line, read_variables, shortened
+from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, foreign, read_variables, shortened
 
 Array = NDArray[np.float64]
 SUFFIXES = (".csv", ".parquet", ".mat")  # of a run
@@ -148,6 +148,9 @@ def read_columns(
         columns = _read_logger(file, kind, names)
     else:
         columns = _read_text(file, names, form, named, gaps=lenient or names is not None)
+    if len({len(values) for values in columns.values.values()}) > 1:
+        got = first_names(f"{name} {len(values)}" for name, values in columns.values.items())
+        raise Problem(f"{file}: expected columns of one length, got {got}")
     for fault in () if lenient and columns.values else columns.faults.values():
         raise Problem(fault)
     if len(columns.rows) < (1 if names is None else 2):
@@ -637,10 +640,9 @@ def _number(cell: str) -> float | None:
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a Parquet file, with units from the fields. A null is a gap."""
     require("files", f"{file}: a Parquet file", "pyarrow")
-    import pyarrow
     import pyarrow.parquet
 
-    try:
+    with foreign(file, "a Parquet"):
         faults = dict[str, str]()
         with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.members else file.path) as opened:
             schema = opened.schema_arrow
@@ -655,8 +657,6 @@ def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
                 faults[name] = str(problem)
         metadata = {name: schema.field(name).metadata or {} for name in selected}
         units = {name: data[b"unit"].decode() for name, data in metadata.items() if b"unit" in data}
-    except (pyarrow.ArrowException, OSError, ValueError) as error:  # ValueError: text that is not UTF-8
-        raise Problem(f"{file}: expected a Parquet file, got {first_line(error)}") from None
     return Columns(str(file), values, range(1, table.num_rows + 1), units=units, faults=faults)
 
 
@@ -699,12 +699,8 @@ def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
             faults[name] = f"{file}: row 1: column {name!r}: expected numbers, got {got}"
         else:
             values[original.get(name, name)] = column.astype(np.float64)
-    lengths = {name: len(column) for name, column in values.items()}
-    if len(set(lengths.values())) > 1:
-        got = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise Problem(f"{file}: expected columns of one length, got {got}")
     values = {n: values[n] for n in dict.fromkeys([*original.values(), *values]) if n in values}  # in order
-    rows = range(1, 1 + min(lengths.values(), default=0))
+    rows = range(1, 1 + min(map(len, values.values()), default=0))
     return Columns(str(file), values, rows, units=units, faults=faults)
 
 

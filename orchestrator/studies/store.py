@@ -36,6 +36,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import PARTIAL, Location, put, write_whole
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import quote_key
+from orchestrator.data.matlab import foreign
 from orchestrator.studies import design
 from orchestrator.studies.runs import STOPPED, PreparedStudy, RunOutcome, band_times, digest, limit_is_raised
 from orchestrator.studies.study import Choice, Factor, Output, Study
@@ -267,10 +268,10 @@ def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
 def _read_results(file: Path) -> pa.Table:
     """The rows of a file of results, whose pages have checksums."""
     try:
-        return pq.read_table(BytesIO(Location(file).read()), page_checksum_verification=True)
-    except (OSError, pa.ArrowException) as error:
-        message = " ".join(str(error).split())
-        raise Problem(f"{file}: cannot be read ({message}); --fresh computes the study again") from None
+        with foreign(file, "a Parquet"):
+            return pq.read_table(BytesIO(Location(file).read()), page_checksum_verification=True)
+    except Problem as problem:
+        raise Problem(f"{problem}; --fresh computes the study again") from None
 
 
 def _with_units(table: pa.Table, units: Mapping[str, str]) -> pa.Table:

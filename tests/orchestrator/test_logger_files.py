@@ -208,7 +208,8 @@ def test_blocks_that_follow_themselves_end_in_one_line(name, tmp_path, monkeypat
     data += block(b"##CG", [next_channels, 0, 0, 0, 0, 0], bytes(32))
     (tmp_path / "a.mf4").write_bytes(data)
     told = refusal(tmp_path / "a.mf4")
-    assert told == f"{tmp_path / 'a.mf4'}: expected an MF4 file, got a damaged one (TimeoutError)"
+    damaged = f"{tmp_path / 'a.mf4'}: expected an MF4 file, got a damaged one (TimeoutError: not done within "
+    assert told.startswith(damaged)
     gc.collect()
     assert signal.getitimer(signal.ITIMER_PROF) == (0, 0)
 
