@@ -415,6 +415,7 @@ class RunEnd:
     problem       why the run ended early; None if it is complete
     interrupted   the user ended it
     died          the process of the run has ended
+    closing       what an FMU did after the run was complete, such as a crash when it was freed
     """
 
     t: float
@@ -433,11 +434,12 @@ class RunEnd:
     problem: Problem | None = None
     interrupted: bool = False
     died: bool = False
+    closing: str = ""
 
     @property
     def complete(self) -> bool:
         """Did the run reach its stop time, or the time at which an FMU asked to end it?"""
-        return self.problem is None and not self.interrupted
+        return self.problem is None and (not self.interrupted or bool(self.closing))
 
 
 def bonds_above(bonds: Sequence[BondEnergy], limit: float) -> list[BondEnergy]:
