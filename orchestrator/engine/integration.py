@@ -201,7 +201,7 @@ class Integration:
             event = bool((self._sides(t, x) != before).any())
             while event and begin < (middle := 0.5 * (begin + t)) < t:
                 begin, t = (begin, middle) if (self._sides(middle, x) != before).any() else (middle, t)
-            self.settle(t, x)
+            self.plant.known(self._indicators(t, x))
             event |= self.plant.completed_step(t, x)
             if event or self.plant.ended:
                 return t, x, event
@@ -210,8 +210,11 @@ class Integration:
 
     def _sides(self, t: float, x: Array) -> NDArray[np.bool_]:
         """The event indicators that are positive."""
+        return self._indicators(t, x) > 0.0
+
+    def _indicators(self, t: float, x: Array) -> Array:
         self.settle(t, x)
-        return self.plant.indicators() > 0.0
+        return self.plant.indicators()
 
     def event(self, t: float, x: Array) -> Array:
         """Event mode at a time; the states after it."""

@@ -250,7 +250,12 @@ class _Supervision:
         if self._layout is None and interrupted:
             raise KeyboardInterrupt(message)
         if self._outcome and self._outcome.complete:
-            return replace(self._outcome, closing=f"the run is complete; then {message}", died=True, interrupted=interrupted)
+            return replace(
+                self._outcome,
+                closing=f"the run is complete; then {message}",
+                died=True,
+                interrupted=interrupted,
+            )
         first = f"{self._outcome.problem}; then " if self._outcome and self._outcome.problem else ""
         message = f"{first}{message}"  # many FMUs crash when they are freed
         problem = Problem(message)

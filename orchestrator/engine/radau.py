@@ -49,7 +49,7 @@ class Radau:
     def advance(self) -> tuple[float, Array, bool]:
         """One step, up to the first state event at most: time [s], states, True for an event."""
         of, t, x = self._of, self._t, self._x
-        before = self._signs(t, x)
+        before = self._of.plant.known(self._signs(t, x))
         of.rates(t, x, self._f)
         f, rest = self._f.copy(), self._target - t
         while True:
@@ -76,7 +76,8 @@ class Radau:
         self._begin, self._span, self._start, self._z = begin, end - begin, x, TO_COEFFICIENTS @ z
         if not before.all():  # as just after an event
             soon = begin + SOON * self._span
-            before = np.where(before, before, self._signs(soon, self.inside(soon)))
+            signs = self._of.plant.known(self._signs(soon, self.inside(soon)))
+            before = np.where(before, before, signs)
         changed = self._signs(end, x + z[2]) != before
         if not changed.any():
             self._t, self._x = end, x + z[2]

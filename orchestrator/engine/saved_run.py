@@ -14,12 +14,13 @@ from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile
 
 import numpy as np
 
 from orchestrator.base.compiler import host
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import ZIP_ERRORS, Location, require, write_whole
+from orchestrator.base.files import ZIP_ERRORS, Location, require, size_fault, write_whole
 from orchestrator.base.options import seconds
 from orchestrator.engine.c_library import recipe
 from orchestrator.engine.time_grid import Grid
@@ -113,9 +114,14 @@ def save(file: Path, job: Job, loop: SimulationLoop) -> None:
         arrays |= {f"fmu_{k}_{name}": np.asarray(part) for name, part in slave.saved().items()}
     document = {"format": FORMAT, "identity": _identity(job, loop), "loop": loop.saved()}
     text = np.frombuffer(json.dumps(document).encode(), np.uint8)
-    buffer = BytesIO()
-    np.savez_compressed(buffer, document=text, **arrays)
-    data = buffer.getvalue()
+    for write in (np.savez_compressed, np.savez):  # packed zeros would look like a bomb
+        write(buffer := BytesIO(), document=text, **arrays)
+        with ZipFile(buffer) as archive:
+            fault = size_fault(archive.infolist(), len(data := buffer.getvalue()))
+        if not fault:
+            break
+    else:
+        raise Problem(f"{file}: {fault}")
     write_whole(file, sha256(data).digest() + data)
 
 

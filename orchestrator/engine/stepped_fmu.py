@@ -292,4 +292,4 @@ class _Stepped(Integration):
         return t
 
     def _sides_now(self) -> NDArray[np.bool_]:
-        return self.plant.indicators() > 0.0
+        return self.plant.known(self.plant.indicators()) > 0.0

@@ -145,6 +145,9 @@ class CvodeSolver:
             step = self._solved(self._method.step(self._target, method="onestep", tstop=self._target))
             if step.t > self._t:  # after an interpolation the solver returns its last step once more
                 self._t = float(step.t)
+                if self._of.plant.indicator_count:
+                    self._of.settle(self._t, step.y)
+                    self._of.plant.known(self._of.plant.indicators())
                 return self._t, step.y, step.status == ROOT
 
     def inside(self, t: float) -> Array:

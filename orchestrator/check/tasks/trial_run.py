@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.numerals import integer
+from orchestrator.base.processes import FLOAT64
 from orchestrator.check.tasks.runner import InstanceOptions, Trial
 from orchestrator.fmi.calls import address
 from orchestrator.fmi.description import FLOATS, MAX_LOCALS, Entry, FmuVariable, ModelDescription
@@ -179,6 +180,7 @@ class Integrator:
     def _size(self, function: str) -> int:
         value = ctypes.c_size_t(0)
         self.instance.call(function, ctypes.byref(value))
+        self.instance.check_size(f"a vector by {function}", FLOAT64 * value.value)
         return value.value
 
     def begin(self, time: float) -> None:
