@@ -422,17 +422,6 @@ class Plant:
         self._call("plant_indicators")
         return self._indicators.copy()
 
-    def known(self, indicators: Array) -> Array:
-        """Event indicators of a state that the solver has accepted, none of which may be NaN."""
-        first = 0
-        for slave in self.slaves.values() if np.isnan(indicators).any() else ():
-            last = first + slave.interface.event_indicators
-            for k in np.flatnonzero(np.isnan(indicators[first:last]))[:1]:
-                got = f"expected a finite value, got nan at t = {self._time[0]:.9g} s"
-                raise Problem(f"{slave.name}: event indicator {k + 1}: {got}")
-            first = last
-        return indicators
-
     def completed_step(self, time: float, x: Array) -> bool:
         """Tell the components that the solver has accepted a step, to a time [s]; True for an event.
 
@@ -464,6 +453,9 @@ class Plant:
         self.changed.clear()
         updates = {name: slave.update for name, slave in self.slaves.items()}
         ended, times = settle(self.system.name, updates, self._copied_discrete)
+        for name in (name for name, time in times.items() if np.isnan(time)):
+            t = f"t = {self._time[0]:.9g} s"
+            raise Problem(f"{name}: expected the next event after {t}, got nan s")
         self.ended, self.next_event = ended or self.ended, min(times.values(), default=np.inf)
         self.leave_events()
 

@@ -451,8 +451,6 @@ class FmuInstance:
         call, info = self._event_update
         ctypes.memset(ctypes.byref(info), 0, ctypes.sizeof(info))
         call()
-        if info.defined and math.isnan(info.next):
-            raise CallFailed(self.log.error_message("the next event told", "is at nan, expected a time"))
         return bool(info.needed), bool(info.terminate), info.next if info.defined else math.inf
 
     @cached_property

@@ -67,10 +67,9 @@ def packed(number: int, name: str, content: Any) -> list[bytes | memoryview]:
     text = json.dumps([name, content], default=other).encode()
     size = sum(map(len, arrays))
     if len(text) > MOST_TEXT or size > MOST_BYTES:
-        got = f"{len(text) / 1e6:.3g} and {size / 1e6:.3g} MB"
-        raise Problem(
-            f"{name}: expected at most {MOST_TEXT >> 20} MB of texts and {MOST_BYTES >> 20} MB, got {got}"
-        )
+        got = f"{len(text) / 1e6:.3g} MB and {size / 1e6:.3g} MB"
+        most = f"{MOST_TEXT / 1e6:.3g} MB of texts and {MOST_BYTES / 1e6:.3g} MB of numbers"
+        raise Problem(f"{name}: expected at most {most}, got {got}")
     head = HEAD.pack(MAGIC, number, len(text), size, _checksum(number, text, size))
     return [head + text, *arrays, TAIL.pack(MAGIC[::-1], number)]
 
