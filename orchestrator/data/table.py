@@ -34,7 +34,7 @@ from orchestrator.base.processes import FLOAT64
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
 from orchestrator.base.units import factor_and_offset, is_unit
-from orchestrator.data.logger_files import CLOCK, channels, labview_table, logger_format, on_one_clock
+from orchestrator.data.logger_files import CLOCK, PIVOT, channels, labview_table, logger_format, on_one_clock
 from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, foreign, read_variables, shortened
 
 Array = NDArray[np.float64]
@@ -60,6 +60,9 @@ NUMBER = re.compile(
 DATE = re.compile(r"\d\d?\.\d\d?\.\d{4}|\d{4}-\d\d-\d\d")
 GERMAN_DATE = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?= |$)")
 MATLAB_DATE = re.compile(r"(\d\d)-([A-Z][a-z]{2})-(\d{4})(?= )")
+KEYS = re.compile(
+    r"_?(name|topic|signal|variable|channel|field|metric|key|tag|sensor|parameter)s?", re.IGNORECASE
+)
 MONTHS = "JanFebMarAprMayJunJulAugSepOctNovDec"
 LIKE_NUMBER = re.compile(r"[-+]?[.,]?\d")  # beginning of a cell that is no word, such as "Not available"
 NAME_AND_UNIT = re.compile(r"(.*\S)(?: *\[([^][]+)\]| +\(([^()]+)\))", re.DOTALL)
@@ -218,6 +221,8 @@ def _read_text(
         part = {number: text.rows[number] for number in numbers[start : start + CHUNK]}
         table[:, start : start + CHUNK] = text.parse_rows(part, indices).T
     values, first = dict(zip(indices, table, strict=True)), text.cells(text.rows[numbers[0]])
+    if names is None:
+        text.refuse_messages(len(indices))
     for name, fault in text.faults.items():
         words = text.words[name]
         if gaps and words.total() < np.isfinite(values[name]).sum() and not CLOCK.match(name):
@@ -421,6 +426,17 @@ class _Text:
             if cells != width and (cells != width + 1 or self.cells(row)[-1].strip()):
                 hint = ": is a comma inside a number?" if self.mark == "," and cells > width else ""
                 raise Problem(f"{self.file}: line {number}: expected {width} cells, got {cells}{hint}")
+
+    def refuse_messages(self, width: int) -> None:
+        """Refuse rows of messages: a long table of time, name and value, and lists of values in cells."""
+        for name, words in self.words.items():
+            where, word = f"{self.file}: column {name!r}", words.most_common(1)[0][0]
+            if KEYS.fullmatch(name) and width - len(self.words) == 2 and 1 < len(words) < words.total():
+                got = f"got a long table with names such as {shortened(word)!r}"
+                raise Problem(f"{where}: expected a column for each signal, {got}: {PIVOT}")
+            if word.startswith("[") and word.endswith("]"):
+                got = f"got lists such as {shortened(word)!r}, as LeRobot writes them"
+                raise Problem(f"{where}: expected numbers, {got}: write a column for each element")
 
     def cells(self, row: str | list[str]) -> list[str]:
         """The cells of a row."""
@@ -677,7 +693,8 @@ def _arrow_values(column: Any, where: str, name: str) -> Array:
             got = f"got {shortened(cells[bad])!r}"
             raise Problem(f"{where} {bad + 1}: column {name!r}: expected a number, {got}")
         return np.array(numbers, dtype=np.float64)
-    raise Problem(f"{where} 1: column {name!r}: expected numbers, got {column_type}")
+    hint = ": write a column for each element" if types.is_nested(column_type) else ""
+    raise Problem(f"{where} 1: column {name!r}: expected numbers, got {column_type}{hint}")
 
 
 def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
