@@ -354,6 +354,11 @@ def test_traps_that_an_fmu_switches_on_in_an_instant_end_nothing(unit, how):
         (DECIMAL.format("-1"), {}, "interval and shift of a clock [s]: expected 0 s or more, got '-1'"),
         (DECIMAL.format("x"), {}, "interval and shift of a clock [s]: expected a number, got "),
         (
+            DECIMAL.format("1e999999999"),
+            {},
+            ": tick: interval and shift of a clock [s]: expected a finite number",
+        ),
+        (
             'intervalVariability="fixed"',
             {"period": -2.0},
             "unit.tick: expected an interval above 0 s, got -2 s",
