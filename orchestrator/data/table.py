@@ -140,9 +140,9 @@ def read_columns(
     """
     file = source if isinstance(source, Location) else Location(source)
     suffix = Path(str(file)).suffix.lower()
-    if not file.members and not file.path.is_file():
-        is_folder = file.path.is_dir()
-        raise Problem(f"{file}: expected a file, got a folder" if is_folder else f"{file}: no such file")
+    if not file.members:
+        with file.opened():  # refuses what is no file
+            pass
     if suffix == ".parquet":
         columns = _read_parquet(file, names)
     elif suffix == ".mat":

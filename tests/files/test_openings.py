@@ -10,6 +10,16 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+from check.good import XML_2
+from kit.mistakes import problem
+from lxml import etree
+
+from orchestrator.fmi.description import read_description
+from orchestrator.fmi.instance import FmuInstance
+from orchestrator.fmi.interface import _indicator_count
+from orchestrator.fmi.messages import Log
+
 ROOT = Path(__file__).parents[2]
 READERS = {
     *("open", "read_bytes", "read_text", "ZipFile", "File", "ParquetFile", "read_schema", "read_table"),
@@ -56,3 +66,23 @@ def test_an_opening_is_seen():
     first, then = "p.read_bytes(); open(p); h5py.File(p)", "np.load(BytesIO(p)); os.open(p)"
     text = f"class A:\n def f(s, p):\n  {first}\n  {then}"
     assert [*openings(ast.parse(text))] == ["f", "f", "f"]
+
+
+@pytest.mark.parametrize("size", [(1 << 31) + 1, 1 << 40, (1 << 64) - 1])
+def test_an_absurd_size_of_an_fmu_is_told_before_memory_is_taken(size):
+    """A state that the FMU says has this many bytes; more indicators than anybody has."""
+
+    class Lying:
+        log = Log("a")
+        check_size = FmuInstance.check_size
+
+        def call(self, _, *arguments):
+            arguments[-1]._obj.value = size
+
+    told = problem(lambda: FmuInstance.serialize(Lying(), None))
+    assert told == "a: a serialised state has more than 2147 MB"
+    text = XML_2.replace('EventIndicators="0"', f'EventIndicators="{size}"')
+    description = read_description(etree.fromstring(text.encode()), 2)
+    assert problem(lambda: _indicator_count(description)).startswith(
+        "expected 0 to 1000000 event indicators, got "
+    )
