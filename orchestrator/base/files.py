@@ -282,9 +282,8 @@ class Location:
         try:
             return self.read(MAX_TEXT).decode()
         except UnicodeDecodeError as error:
-            raise Problem(
-                f"{self}: expected text in UTF-8, got the byte 0x{error.object[error.start]:02x}"
-            ) from None
+            byte = error.object[error.start]
+            raise Problem(f"{self}: expected text in UTF-8, got the byte 0x{byte:02x}") from None
 
     def _check_size(self, size: int, limit: int) -> None:
         if size > limit:

@@ -61,10 +61,7 @@ OTHERS = {  # beginning of a file -> its format, and the way out
     rb"\x89PNG|\xff\xd8\xff|GIF8[79]a|%PDF": ("a picture or a PDF", "export its values as CSV"),
     rb"PAR1[\0-\x1f]": ("Parquet", "name it .parquet"),
     rb"DIAEXTENDED|.{,3}<\?xml.*<\w*:?tdm\b": ("a header of DIAdem", "export its channels as TDMS or CSV"),
-    rb"\s*[\[{]\s*[\[{\"]": (
-        "JSON",
-        "write a column for each signal to CSV, such as by pandas.json_normalize",
-    ),
+    rb"\s*[\[{]\s*[\[{\"]": ("JSON", "write its signals to CSV, such as by pandas.json_normalize"),
     rb"[\w.-]+(,[^\s=]+=\S+)? [^\s=]+=\S+ -?\d+\s": ("Influx line protocol", PIVOT),
     rb"\x89HDF|MATLAB 5": ("MATLAB or HDF5", "name it .mat, or export CSV"),
 }

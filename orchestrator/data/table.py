@@ -60,9 +60,7 @@ NUMBER = re.compile(
 DATE = re.compile(r"\d\d?\.\d\d?\.\d{4}|\d{4}-\d\d-\d\d")
 GERMAN_DATE = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?= |$)")
 MATLAB_DATE = re.compile(r"(\d\d)-([A-Z][a-z]{2})-(\d{4})(?= )")
-KEYS = re.compile(
-    r"_?(name|topic|signal|variable|channel|field|metric|key|tag|sensor|parameter)s?", re.IGNORECASE
-)
+KEYS = re.compile(r"_?(?i:name|topic|signal|variable|channel|field|metric|key|tag|sensor|parameter)s?")
 MONTHS = "JanFebMarAprMayJunJulAugSepOctNovDec"
 LIKE_NUMBER = re.compile(r"[-+]?[.,]?\d")  # beginning of a cell that is no word, such as "Not available"
 NAME_AND_UNIT = re.compile(r"(.*\S)(?: *\[([^][]+)\]| +\(([^()]+)\))", re.DOTALL)

@@ -245,7 +245,7 @@ def test_the_rows_that_all_channels_of_a_group_have_are_read(tmp_path, lost, cap
 
 
 OTHER_KINDS = {
-    "a.json": ('[{"ts": 1700000000000, "values": {"P1": 80.1}}]', "got JSON: write a column for each signal"),
+    "a.json": ('[{"ts": 1700000000000, "values": {"P1": 80.1}}]', "got JSON: write its signals to CSV"),
     "b.json": ('{"ts": [1, 2], "P1": [3, 4]}', "got JSON"),
     "a.txt": (
         "crane,unit=a p=80.0,q=1 1700000000000000000\n",
