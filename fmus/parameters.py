@@ -23,7 +23,6 @@ part.
 """
 
 import difflib
-import hashlib
 import json
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,7 +33,7 @@ from typing import Annotated, Any, TypeAlias
 from fmus.contract import G, Quantity, Subsystem, nested, quantities
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import write_whole
+from orchestrator.base.files import Location, write_whole
 from orchestrator.base.units import factor_and_offset
 
 SOURCES = {
@@ -96,10 +95,7 @@ def read(path: Path, content: bytes | None = None) -> dict[str, dict[str, Number
 
     content   of the file; default: what is on disk at `path`
     """
-    try:
-        tables = _parsed(path, path.read_bytes() if content is None else content)
-    except OSError as error:
-        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
+    tables = _parsed(path, content or Location(path).read(toml.MAX_BYTES))
     return {section: dict(entries) for section, entries in tables.items()}
 
 
@@ -328,7 +324,7 @@ def read_parameter_set(path: Path, subs: Iterable[Subsystem]) -> ParameterSet:
     Each has the name and the checksum of the file.
     """
     tables = read(path)
-    origin = path.name, hashlib.sha256(path.read_bytes()).hexdigest()
+    origin = path.name, Location(path).sha256
     if tables["start"]:
         raise Problem(f"{path}: [start.{min(tables['start'])}]: expected tables [parameters.NAME] only")
     if not tables["parameters"]:

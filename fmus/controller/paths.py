@@ -23,6 +23,7 @@ from fmus.controller.model import CONTROLLER
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_columns
+from orchestrator.base.numerals import finite
 
 Array = NDArray[np.float64]
 
@@ -204,7 +205,7 @@ def write_route(texts: Sequence[str], speed: float, folder: Path) -> tuple[Path,
 
 def _point(text: str) -> Point:
     try:
-        x, y, z = (float(number) for number in text.split(","))
+        x, y, z = map(finite, text.split(","))
     except ValueError:
         raise Problem(f"--through {text}: expected x,y,z in metres, such as 3.6,-2,1") from None
     return x, y, z

@@ -56,6 +56,7 @@ from fmus.parameters import Number, numbers, parameters
 from fmus.supply import SUPPLY, supply
 from fmus.valve_actuation import actuation
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
 from orchestrator.base.text import MODELICA
 from orchestrator.check.rules.variables import C
 
@@ -360,7 +361,7 @@ def crane_build(crane: CraneDescription, parameters: Path | None = None, faults:
     """What is built of a crane; the arguments are those of `fmus.machine.build.harvester`."""
     machine = with_values(crane_machine(crane, faults), parameters, partial(controller, crane))
     whole, plan = one_block(machine, f"Crane as one block: {crane.title}"), SystemPlan(STOP)
-    files, note = {**page_files(crane), SOURCE: crane.file.read_bytes()}, ""
+    files, note = {**page_files(crane), SOURCE: Location(crane.file).read()}, ""
     try:
         controlled(crane)
     except Problem as why:

@@ -34,6 +34,7 @@ from fmus.crane.description import (
 from fmus.crane.machine import taken
 from orchestrator.base.errors import Mistakes, Problem, one_line
 from orchestrator.base.files import Location, write_whole
+from orchestrator.base.numerals import real
 from orchestrator.base.text import first_names, grouped
 from orchestrator.data.table import Array
 
@@ -334,7 +335,7 @@ def _of(joint: Any, tag: str) -> str:
 def _numbers(element: Any, name: str, default: str, count: int = 3) -> Array:
     text = default if element is None else element.get(name, default)
     try:
-        found = np.array([float(x) for x in text.split()])
+        found = np.array([*map(real, text.split())])
     except ValueError:
         found = np.empty(0)
     if found.size != count or not np.isfinite(found).all():

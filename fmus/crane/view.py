@@ -19,6 +19,7 @@ from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import manipulator
 from fmus.joints import BARS
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
 from orchestrator.data.table import Array
 
 COLOURS = ("#009e73", "#0072b2", "#d55e00", "#cc79a7", "#e69f00", "#56b4e9", "#7d7d7d")  # Okabe and Ito 2008
@@ -61,7 +62,7 @@ def document(crane: CraneDescription) -> bytes:
 
 def page_files(crane: CraneDescription) -> dict[str, bytes]:
     """The file, and the meshes of links."""
-    meshes = {_mesh(j): j.shape.read_bytes() for j in crane.joints if j.shape}
+    meshes = {_mesh(j): Location(j.shape).read() for j in crane.joints if j.shape}
     return {"view.toml": document(crane), **meshes}
 
 

@@ -269,7 +269,7 @@ def run(description: CraneDescription, logs: Path, out: Path) -> Report:
     """Identify a crane, and write the parameters of its FMUs to a file (.toml)."""
     if out.suffix != ".toml":
         raise Problem(f"--out {out}: expected a file that ends in .toml")
-    if out.is_file() and "parameters" not in toml.read(out, out.read_bytes()).data:
+    if out.is_file() and "parameters" not in toml.read_file(out).data:
         raise Problem(f"--out {out}: expected no file or one of parameters, got another")
     crane = Crane(description)
     results, missing = identify(crane, logs)

@@ -19,7 +19,7 @@ import numpy as np
 from fmus.rig.benches import TOLERANCE
 from fmus.rig.experiments import EXPERIMENTS, LISTED, MACHINES, Experiment, experiment, record
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import write_columns, write_whole
+from orchestrator.base.files import Location, write_columns, write_whole
 from orchestrator.base.processes import mapping
 from orchestrator.data.description import Description, Origin, SignalDescription, Tolerance, write_description
 
@@ -75,7 +75,7 @@ def _check_folder(out: Path) -> None:
         raise Problem(f"{out}: expected a folder, got {error.strerror}") from None
     if not os.access(out, os.W_OK | os.X_OK):
         raise Problem(f"{out}: expected a folder to write to, got no permission")
-    has_recordings = README in names and (out / README).read_bytes().startswith(HEADING.encode())
+    has_recordings = README in names and Location(out / README).text().startswith(HEADING)
     if names and not has_recordings:
         raise Problem(f"{out}: expected an empty folder or one of the rig, got a folder with {names[0]}")
 

@@ -51,6 +51,7 @@ MAX_RATIO = 200
 ANY_RATIO = 500 << 20  # bytes up to which the ratio does not matter, such as sparse tables of 150 MB
 MAX_NESTING = 8  # archives inside archives; the FMU in an SSP in an SSP has 2
 MAX_PATH = 1000  # characters of the name of a member; a whole path has at most 4096 on Linux, 260 on Windows
+MAX_TEXT = 64 << 20  # bytes of a text that this project has written, or of a script
 MAX_BUFFER = 64 << 20  # bytes of an inner archive in memory; a larger one is in a temporary file
 CHUNK = 1 << 20  # bytes that are unpacked at once
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # compression that FMI and SSP permit
@@ -275,6 +276,14 @@ class Location:
             self._check_size(file.seek(0, os.SEEK_END), limit)
             file.seek(0)
             return file.read()
+
+    def text(self) -> str:
+        """The text of the file, UTF-8 of at most `MAX_TEXT` bytes."""
+        try:
+            return self.read(MAX_TEXT).decode()
+        except UnicodeDecodeError as error:
+            byte = error.object[error.start]
+            raise Problem(f"{self}: expected text in UTF-8, got the byte 0x{byte:02x}") from None
 
     def _check_size(self, size: int, limit: int) -> None:
         if size > limit:

@@ -21,6 +21,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args,
 from typing import get_type_hints as hints_of
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.numerals import integer, real
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ class Declared:
     def _parsed(self, text: str) -> Any:
         """The number in a text, which may have a unit."""
         try:
-            return self.numeric(text)
+            return {float: real, int: integer}[self.numeric](text)
         except ValueError:
             if not self.kind.unit:
                 raise

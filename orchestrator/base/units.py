@@ -463,7 +463,9 @@ def conversion(
     return linear
 
 
-_NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d++)?+)\s*([^\W\d_].*|[%°].*)")
+_NUMBER_WITH_UNIT = re.compile(
+    r"([-+]?(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:[eE][-+]?[0-9]++)?+)\s*([^\W\d_].*|[%°].*)"
+)
 
 
 def number_and_unit(text: str) -> tuple[str, str]:

@@ -1,6 +1,5 @@
 """Reading of XML files: elements by local name, attributes by type, messages with file and line; writing.
 
-Numbers and booleans follow XML Schema. Python would also accept 1_000, digits of other scripts and Infinity.
 Text that other tools would read differently is refused.
 """
 
@@ -10,7 +9,6 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,7 @@ from markupsafe import Markup
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
+from orchestrator.base.numerals import boolean, finite
 
 Element = Any  # lxml ships no types
 # The largest descriptions in use have 100 000 variables, 1.5 million elements and attributes, and 40 MB.
@@ -181,41 +180,6 @@ def children(element: Element | None, *path: str) -> Iterator[Element]:
 def child(element: Element | None, *path: str) -> Element | None:
     """The first element at a path of names, or None."""
     return next(children(element, *path), None)
-
-
-_REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf|nan", re.ASCII | re.IGNORECASE)
-_INTEGER = re.compile(r"[+-]?\d{1,400}", re.ASCII)  # the largest float has 309 digits
-_BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
-
-
-def real(text: str) -> float:
-    """A number, finite or not; ValueError for any other text."""
-    if not _REAL.fullmatch(text.strip()):
-        raise ValueError(text)
-    return float(text)
-
-
-def finite(text: str) -> float:
-    """A finite number; ValueError for any other text."""
-    value = real(text)
-    if not isfinite(value):
-        raise ValueError(text)
-    return value
-
-
-def integer(text: str) -> int:
-    """A whole number; ValueError for any other text."""
-    if not _INTEGER.fullmatch(text.strip()):
-        raise ValueError(text)
-    return int(text)
-
-
-def boolean(text: str) -> bool:
-    """true, false, 1 or 0; ValueError for any other text."""
-    try:
-        return _BOOLEANS[text.strip()]
-    except KeyError:
-        raise ValueError(text) from None
 
 
 def shortest_decimal(value: float) -> str:

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from orchestrator.base.numerals import integer, real
 from orchestrator.check.finding import MAKE, Finding, note
 from orchestrator.check.probe_process import Outcome, run
 from orchestrator.check.rule import rules_in
@@ -119,9 +120,7 @@ def _unreadable(model: ModelDescription) -> str:
                 return f"{unknown}: expected a variable, got none with index or reference {unknown.key}"
         numbers = list(model.experiment.attributes.values())
         numbers += [e.get("fixedInternalStepSize", "0") for e in model.interfaces.values()]
-        for text in numbers:
-            float(text)
-        int(model.attributes.get("numberOfEventIndicators", "0"))
+        _ = [*map(real, numbers)], integer(model.get("numberOfEventIndicators", "0"))
     except (ValueError, OverflowError) as error:
         return str(error)
     return ""

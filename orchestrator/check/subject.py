@@ -26,7 +26,7 @@ SYMBOLIC_LINK = 0o120000
 def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
     """Unpack members with safe names into `folder`; returns the names of all members, and findings."""
     try:
-        with path.open("rb") as file, files.open_archive(file) as archive:
+        with files.Location(path).opened() as file, files.open_archive(file) as archive:
             members = archive.infolist()
             refused = {
                 "archive.size": files.size_fault(members, path.stat().st_size),
@@ -45,7 +45,7 @@ def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ..
 
 def _content(path: Path) -> str:
     """Guess from the first bytes of a file what it contains."""
-    with path.open("rb") as file:
+    with files.Location(path).opened() as file:
         head = file.read(64)
     if not head:
         return "an empty file"
@@ -163,9 +163,10 @@ def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
 
     if not (path := folder / file).is_file():
         return None, ""
-    if (size := path.stat().st_size) > MAX_BYTES:
-        return None, f"{file}: expected at most {MAX_BYTES / 1e6:.0f} MB, got {size / 1e6:.0f} MB"
-    text = path.read_bytes()
+    try:
+        text = files.Location(path).read(MAX_BYTES)
+    except Problem as problem:
+        return None, str(problem).removeprefix(f"{folder}/")
     if fault := too_large(text):
         return None, f"{file}: {fault}"
     try:

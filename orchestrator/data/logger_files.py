@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import logging
 import re
-import struct
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -27,9 +25,11 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
 from orchestrator.base.interrupts import time_limit
+from orchestrator.base.numerals import finite
+from orchestrator.base.processes import FLOAT64
 from orchestrator.base.text import first_names
 from orchestrator.base.units import parse_unit
-from orchestrator.data.matlab import ERRORS, MAX_BYTES
+from orchestrator.data.matlab import MAX_BYTES, check_size, foreign
 
 Array = NDArray[np.float64]
 HEAD = 512  # bytes that show the format of a file
@@ -48,6 +48,7 @@ DECODE, EXPORT, SHEET = (
     "export its topics as CSV, such as by PlotJuggler",
     "save the sheet as CSV",
 )
+PIVOT = "pivot it to one column for each signal, such as by pandas.DataFrame.pivot, and export CSV"
 OTHERS = {  # beginning of a file -> its format, and the way out
     rb"MDF     [^4]": ("MDF 3", "save it as MDF 4, such as by asammdf"),
     rb"\x89MCAP0": ("MCAP", EXPORT),
@@ -60,6 +61,8 @@ OTHERS = {  # beginning of a file -> its format, and the way out
     rb"\x89PNG|\xff\xd8\xff|GIF8[79]a|%PDF": ("a picture or a PDF", "export its values as CSV"),
     rb"PAR1[\0-\x1f]": ("Parquet", "name it .parquet"),
     rb"DIAEXTENDED|.{,3}<\?xml.*<\w*:?tdm\b": ("a header of DIAdem", "export its channels as TDMS or CSV"),
+    rb"\s*[\[{]\s*[\[{\"]": ("JSON", "write its signals to CSV, such as by pandas.json_normalize"),
+    rb"[\w.-]+(,[^\s=]+=\S+)? [^\s=]+=\S+ -?\d+\s": ("Influx line protocol", PIVOT),
     rb"\x89HDF|MATLAB 5": ("MATLAB or HDF5", "name it .mat, or export CSV"),
 }
 
@@ -92,7 +95,7 @@ def labview_table(file: Location, text: str) -> str:
     entries = {key: values for key, *values in (row.split(mark) for row in "".join(headers).splitlines())}
     try:
         steps = [step for step in entries["Delta_X"] if step.strip()]
-        start, every = (float(n.replace(",", ".")) for n in (entries["X0"][0], steps[0]))
+        start, every = (finite(n.replace(",", ".")) for n in (entries["X0"][0], steps[0]))
         _, names, *rows = (line.split(mark) for line in table.splitlines())
     except (LookupError, ValueError):
         raise Problem(f"{file}: expected a LabVIEW file, got one without X0, Delta_X or names") from None
@@ -113,16 +116,13 @@ def channels(file: Location, kind: str) -> Iterator[dict[str, Callable[[], Sampl
     library, open_file = ("asammdf", _mdf) if kind == MDF else ("nptdms", _tdms)
     require("logger", f"{file}: {kind} file", library)
     import_module(library)  # before the time counts
-    try:
-        with time_limit(PATIENCE + FOR_A_BYTE * file.path.stat().st_size), open_file(file) as found:
-            if found and all(name.startswith("CAN_DataFrame") for _, name, _ in found):
-                advice = "decode them with the DBC file, such as by asammdf"
-                raise Problem(f"{file}: expected signals, got frames of a CAN bus: {advice}")
-            counts = Counter([TIME, *(name for _, name, _ in found)])
-            yield {n if counts[n] == 1 else f"{group}.{n}": read for group, n, read in found}
-    except (*ERRORS, struct.error, zlib.error) as error:
-        got = f"a damaged one ({type(error).__name__})"
-        raise Problem(f"{file}: expected {kind} file, got {got}") from None
+    patience = time_limit(PATIENCE + FOR_A_BYTE * file.path.stat().st_size)
+    with foreign(file, kind), patience, open_file(file) as found:
+        if found and all(name.startswith("CAN_DataFrame") for _, name, _ in found):
+            advice = "decode them with the DBC file, such as by asammdf"
+            raise Problem(f"{file}: expected signals, got frames of a CAN bus: {advice}")
+        counts = Counter([TIME, *(name for _, name, _ in found)])
+        yield {n if counts[n] == 1 else f"{group}.{n}": read for group, n, read in found}
 
 
 def on_one_clock(
@@ -153,14 +153,12 @@ def on_one_clock(
 def _mdf(file: Location) -> Iterator[list[tuple[str, str, Callable[[], Samples]]]]:
     """Channels of an MDF 4 file: group, name, and what reads it; times since the start of the measurement."""
     import asammdf
-    from asammdf.blocks import mdf_v4, utils
+    from asammdf.blocks import mdf_v4
 
     if "__del__" in vars(mdf_v4.MDF4):  # it prints a traceback if the file is damaged
         del mdf_v4.MDF4.__del__
-    try:
-        opened = asammdf.MDF(BytesIO(file.read(MAX_BYTES)))
-    except utils.MdfException as error:
-        raise ValueError from error
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL)
+    opened = asammdf.MDF(BytesIO(file.read(MAX_BYTES)))
 
     def read(group: int, index: int) -> Samples:
         # numbers in place of the texts of an enumeration, without samples marked as invalid
@@ -168,6 +166,8 @@ def _mdf(file: Location) -> Iterator[list[tuple[str, str, Callable[[], Samples]]
         return signal.timestamps, signal.samples, signal.unit
 
     with opened:
+        cells = sum(group.channel_group.cycles_nr * len(group.channels) for group in opened.groups)
+        check_size(file, FLOAT64 * cells, "channels", file.path.stat().st_size)
         yield [
             (group.channel_group.acq_name or f"group {i + 1}", channel.name, partial(read, i, j))
             for i, group in enumerate(opened.groups)
@@ -180,30 +180,38 @@ def _mdf(file: Location) -> Iterator[list[tuple[str, str, Callable[[], Samples]]
 def _tdms(file: Location) -> Iterator[list[tuple[str, str, Callable[[], Samples]]]]:
     """Channels of a TDMS file: group, name, and what reads it.
 
-    Times are those of the waveform since the first start, or of the group's channel of times.
+    Times are those of the waveform since the first start, or of the group's channel of times. If the end of
+    the file is missing, the other channels of a group have the rows of the shortest one.
     """
     import nptdms
     from nptdms.log import log_manager
 
     log_manager.set_level(logging.ERROR)
     with nptdms.TdmsFile.open(BytesIO(file.read(MAX_BYTES))) as opened:
+        found = [channel for group in opened.groups() for channel in group.channels()]
+        check_size(file, FLOAT64 * sum(map(len, found)), "channels", file.path.stat().st_size)
+        rows = dict[str, int]()
         if opened.file_status.incomplete_final_segment:
             tell_once(f"{file}: the end is cut off; read up to there")
-        found = [channel for group in opened.groups() for channel in group.channels()]
+            found = [channel for channel in found if len(channel)]
+            for channel in found:
+                rows[channel.group_name] = min(len(channel), rows.get(channel.group_name, MAX_BYTES))
         clocks = {c.group_name: c for c in found if c.dtype.kind == "M" or CLOCK.match(c.name)}
         starts = [c.properties["wf_start_time"] for c in found if "wf_start_time" in c.properties]
         first = min(starts, default=None)
 
         def read(channel: Any) -> Samples:
             about, clock, time = channel.properties, clocks.get(channel.group_name), None
+            most = rows.get(channel.group_name, len(channel))
             if "wf_increment" in about:
                 late = (about.get("wf_start_time", first) - first) / SECOND if starts else 0.0
-                time = channel.time_track() + late
+                time, most = channel.time_track() + late, len(channel)
             elif clock is not None and clock.dtype.kind == "M":
-                time = (clock[:] - clock[0]) / SECOND
+                time = (clock[:most] - clock[0]) / SECOND
             elif clock is not None:
-                time = parse_unit(clock.properties.get("unit_string", "s")).factor * clock[:]
-            return time, channel[:], str(about.get("unit_string", ""))
+                time = parse_unit(clock.properties.get("unit_string", "s")).factor * clock[:most]
+            most = most if time is None else min(most, len(time))
+            return time if time is None else time[:most], channel[:most], str(about.get("unit_string", ""))
 
         yield [(channel.group_name, channel.name, partial(read, channel)) for channel in found]
 

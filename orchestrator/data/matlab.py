@@ -12,9 +12,11 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -27,13 +29,7 @@ from orchestrator.base.processes import FLOAT64
 
 MAX_BYTES = 8 << 30  # of a file or its numbers: 100 signals at 200 Hz for ten hours are 5.8 GB
 MAX_VARIABLES = 10_000  # of an HDF5 file, read in some seconds; loggers record some thousand
-MAX_SHOWN = 40  # characters of a name or a cell in a message
-
-# what h5py and the reader of version 4 raise for damaged files, which they do not document
-ERRORS = (
-    *(ValueError, TypeError, OSError, LookupError),
-    *(ArithmeticError, AttributeError, RuntimeError, MemoryError),
-)
+MAX_SHOWN, MAX_SAID = 40, 120  # characters of a name or a cell, and of what a library says, in a message
 
 # version 5: types of elements, classes of arrays (MAT-File Format, MathWorks, tables 1-1 and 1-3)
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -61,8 +57,8 @@ class NotNumbers:
 
 def read_variables(file: Location) -> dict[str, Any]:
     """Arrays and texts by name, scalar structs as dictionaries, anything else as `NotNumbers`."""
-    try:
-        if not file.members and _is_version_7_3(file.path):
+    with foreign(file, "a MATLAB"):
+        if not file.members and _is_version_7_3(file):
             require("files", f"{file}: a MATLAB file of version 7.3", "h5py")
             import h5py
 
@@ -72,23 +68,17 @@ def read_variables(file: Location) -> dict[str, Any]:
         if 0 in data[:4]:  # in version 5 a text begins here
             return _version_4(file, data)
         return _version_5(file, data)
-    except (*ERRORS, struct.error, zlib.error) as error:
-        raise Problem(f"{file}: expected a MATLAB file, got {first_line(error)}") from None
 
 
-def _is_version_7_3(path: Path) -> bool:
+def _is_version_7_3(file: Location) -> bool:
     """True if a file has the signature of HDF5 at byte 0, or after a header of 512, 1024, 2048, ... bytes."""
-    try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            start = 0
-            while start < size:
-                file.seek(start)
-                if file.read(len(HDF5)) == HDF5:
-                    return True
-                start = max(512, 2 * start)
-    except OSError:  # the reader says why it cannot be read
-        pass
+    with file.opened() as opened:
+        size, start = opened.seek(0, os.SEEK_END), 0
+        while start < size:
+            opened.seek(start)
+            if opened.read(len(HDF5)) == HDF5:
+                return True
+            start = max(512, 2 * start)
     return False
 
 
@@ -104,9 +94,17 @@ def shortened(text: str) -> str:
     return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
 
 
-def first_line(error: Exception) -> str:
-    """The first line of a library's message."""
-    return next(iter(str(error).strip().splitlines()), type(error).__name__)
+@contextmanager
+def foreign(file: Location | Path, kind: str) -> Iterator[None]:
+    """Context in which whatever a library raises for a damaged file is a Problem; kind: such as "an MF4"."""
+    try:
+        yield
+    except Problem:
+        raise
+    except Exception as error:  # which ones, libraries do not document
+        said = shorten(str(error), MAX_SAID, placeholder=" ...")
+        got = f"a damaged one ({type(error).__name__}{said and f': {said}'})"
+        raise Problem(f"{file}: expected {kind} file, got {got}") from None
 
 
 # ---- version 7.3

@@ -29,12 +29,13 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
+from orchestrator.base.numerals import real
 from orchestrator.base.processes import FLOAT64
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
 from orchestrator.base.units import factor_and_offset, is_unit
-from orchestrator.data.logger_files import CLOCK, channels, labview_table, logger_format, on_one_clock
-from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, first_line, read_variables, shortened
+from orchestrator.data.logger_files import CLOCK, PIVOT, channels, labview_table, logger_format, on_one_clock
+from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, foreign, read_variables, shortened
 
 Array = NDArray[np.float64]
 SUFFIXES = (".csv", ".parquet", ".mat")  # of a run
@@ -53,10 +54,13 @@ MOST_HEADINGS = 3  # rows of texts below the names: units, channels, comments
 DAY, FIRST_DATE, LAST_DATE = 86400.0, 1e9, 1e11  # [s]; times in between are seconds since 1970
 # days of a spreadsheet in the years 1970 to 2099; steps of a logger are shorter than 9 s = 1e-4 d
 FIRST_DAY, LAST_DAY, LONGEST_STEP = 25569.0, 73050.0, 1e-4
-NUMBER = re.compile(r"([-+]?(?:\d[\d.,']*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\W\d_].*|[%°].*)?")  # and its unit
+NUMBER = re.compile(
+    r"([-+]?(?:[0-9][0-9.,']*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?)\s*([^\W\d_].*|[%°].*)?"
+)  # and its unit
 DATE = re.compile(r"\d\d?\.\d\d?\.\d{4}|\d{4}-\d\d-\d\d")
 GERMAN_DATE = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?= |$)")
 MATLAB_DATE = re.compile(r"(\d\d)-([A-Z][a-z]{2})-(\d{4})(?= )")
+KEYS = re.compile(r"_?(?i:name|topic|signal|variable|channel|field|metric|key|tag|sensor|parameter)s?")
 MONTHS = "JanFebMarAprMayJunJulAugSepOctNovDec"
 LIKE_NUMBER = re.compile(r"[-+]?[.,]?\d")  # beginning of a cell that is no word, such as "Not available"
 NAME_AND_UNIT = re.compile(r"(.*\S)(?: *\[([^][]+)\]| +\(([^()]+)\))", re.DOTALL)
@@ -134,9 +138,9 @@ def read_columns(
     """
     file = source if isinstance(source, Location) else Location(source)
     suffix = Path(str(file)).suffix.lower()
-    if not file.members and not file.path.is_file():
-        is_folder = file.path.is_dir()
-        raise Problem(f"{file}: expected a file, got a folder" if is_folder else f"{file}: no such file")
+    if not file.members:
+        with file.opened():  # refuses what is no file
+            pass
     if suffix == ".parquet":
         columns = _read_parquet(file, names)
     elif suffix == ".mat":
@@ -145,6 +149,9 @@ def read_columns(
         columns = _read_logger(file, kind, names)
     else:
         columns = _read_text(file, names, form, named, gaps=lenient or names is not None)
+    if len({len(values) for values in columns.values.values()}) > 1:
+        got = first_names(f"{name} {len(values)}" for name, values in columns.values.items())
+        raise Problem(f"{file}: expected columns of one length, got {got}")
     for fault in () if lenient and columns.values else columns.faults.values():
         raise Problem(fault)
     if len(columns.rows) < (1 if names is None else 2):
@@ -212,6 +219,8 @@ def _read_text(
         part = {number: text.rows[number] for number in numbers[start : start + CHUNK]}
         table[:, start : start + CHUNK] = text.parse_rows(part, indices).T
     values, first = dict(zip(indices, table, strict=True)), text.cells(text.rows[numbers[0]])
+    if names is None:
+        text.refuse_messages(len(indices))
     for name, fault in text.faults.items():
         words = text.words[name]
         if gaps and words.total() < np.isfinite(values[name]).sum() and not CLOCK.match(name):
@@ -416,6 +425,17 @@ class _Text:
                 hint = ": is a comma inside a number?" if self.mark == "," and cells > width else ""
                 raise Problem(f"{self.file}: line {number}: expected {width} cells, got {cells}{hint}")
 
+    def refuse_messages(self, width: int) -> None:
+        """Refuse rows of messages: a long table of time, name and value, and lists of values in cells."""
+        for name, words in self.words.items():
+            where, word = f"{self.file}: column {name!r}", words.most_common(1)[0][0]
+            if KEYS.fullmatch(name) and width - len(self.words) == 2 and 1 < len(words) < words.total():
+                got = f"got a long table with names such as {shortened(word)!r}"
+                raise Problem(f"{where}: expected a column for each signal, {got}: {PIVOT}")
+            if word.startswith("[") and word.endswith("]"):
+                got = f"got lists such as {shortened(word)!r}, as LeRobot writes them"
+                raise Problem(f"{where}: expected numbers, {got}: write a column for each element")
+
     def cells(self, row: str | list[str]) -> list[str]:
         """The cells of a row."""
         return row.split(self.mark) if isinstance(row, str) else row
@@ -434,7 +454,8 @@ class _Text:
         for j, (name, index) in enumerate(indices.items()):
             cells = [row[index].strip() for row in split]
             try:
-                if point == "," and any("." in cell for cell in cells):
+                text = "".join(cells)
+                if (point == "," and "." in text) or "_" in text or not text.isascii():
                     raise ValueError
                 table[:, j] = np.array([cell.replace(point, ".") for cell in cells], float)
             except ValueError:
@@ -624,7 +645,7 @@ def _name_list(names: Sequence[str]) -> str:
 def _number(cell: str) -> float | None:
     """The number in a cell, 1 for true, 0 for false, NaN for a gap, None for any other text."""
     try:
-        return float(cell)
+        return real(cell)
     except ValueError:
         word = cell.strip().lower()
         return math.nan if word in GAP_MARKS else WORDS.get(word)
@@ -633,10 +654,9 @@ def _number(cell: str) -> float | None:
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a Parquet file, with units from the fields. A null is a gap."""
     require("files", f"{file}: a Parquet file", "pyarrow")
-    import pyarrow
     import pyarrow.parquet
 
-    try:
+    with foreign(file, "a Parquet"):
         faults = dict[str, str]()
         with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.members else file.path) as opened:
             schema = opened.schema_arrow
@@ -651,8 +671,6 @@ def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
                 faults[name] = str(problem)
         metadata = {name: schema.field(name).metadata or {} for name in selected}
         units = {name: data[b"unit"].decode() for name, data in metadata.items() if b"unit" in data}
-    except (pyarrow.ArrowException, OSError, ValueError) as error:  # ValueError: text that is not UTF-8
-        raise Problem(f"{file}: expected a Parquet file, got {first_line(error)}") from None
     return Columns(str(file), values, range(1, table.num_rows + 1), units=units, faults=faults)
 
 
@@ -673,7 +691,8 @@ def _arrow_values(column: Any, where: str, name: str) -> Array:
             got = f"got {shortened(cells[bad])!r}"
             raise Problem(f"{where} {bad + 1}: column {name!r}: expected a number, {got}")
         return np.array(numbers, dtype=np.float64)
-    raise Problem(f"{where} 1: column {name!r}: expected numbers, got {column_type}")
+    hint = ": write a column for each element" if types.is_nested(column_type) else ""
+    raise Problem(f"{where} 1: column {name!r}: expected numbers, got {column_type}{hint}")
 
 
 def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
@@ -695,12 +714,8 @@ def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
             faults[name] = f"{file}: row 1: column {name!r}: expected numbers, got {got}"
         else:
             values[original.get(name, name)] = column.astype(np.float64)
-    lengths = {name: len(column) for name, column in values.items()}
-    if len(set(lengths.values())) > 1:
-        got = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise Problem(f"{file}: expected columns of one length, got {got}")
     values = {n: values[n] for n in dict.fromkeys([*original.values(), *values]) if n in values}  # in order
-    rows = range(1, 1 + min(lengths.values(), default=0))
+    rows = range(1, 1 + min(map(len, values.values()), default=0))
     return Columns(str(file), values, rows, units=units, faults=faults)
 
 

@@ -408,10 +408,10 @@ def _in_si(columns: Columns, time: TimeDescription, named: bool, of_text: bool) 
 def units_of_run(file: Path, signals: Collection[str]) -> Mapping[str, str]:
     """Units of signals in the metadata next to the file of a trace, if they are those of this file."""
     try:
-        metadata = json.loads(file.with_suffix(METADATA_SUFFIX).read_bytes())
+        metadata = json.loads(Location(file.with_suffix(METADATA_SUFFIX)).text())
         written = Location(file).sha256 == metadata["sha256"]
         return {n: str(u) for n, u in metadata["units"].items() if n in signals} if written else {}
-    except (Problem, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (Problem, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
 
 

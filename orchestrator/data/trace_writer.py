@@ -27,7 +27,7 @@ from orchestrator.base.extras import require
 from orchestrator.base.files import Location, csv_header, naming
 from orchestrator.base.processes import check_room
 from orchestrator.base.units import LinearTransformation
-from orchestrator.data.matlab import read_variables
+from orchestrator.data.matlab import foreign, read_variables
 from orchestrator.data.table import SUFFIXES, read_columns
 from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, Units, check_suffix, read_trace
 
@@ -505,8 +505,8 @@ def read_origin(path: Path) -> str:
         return ""
     import pyarrow.parquet as pq
 
-    metadata = pq.read_schema(path).metadata or {}
-    return str(metadata.get(ORIGIN.encode(), b"").decode())
+    with foreign(path, "a Parquet"):
+        return str((pq.read_schema(path).metadata or {}).get(ORIGIN.encode(), b"").decode())
 
 
 def remove_partial(partial: Path) -> None:

@@ -16,6 +16,7 @@ from itertools import chain
 from typing import Annotated, Any, Literal
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.numerals import finite
 from orchestrator.base.toml import Rule
 from orchestrator.data.gltf import Mesh
 from orchestrator.ssp.parameter_sets import parameter_sets
@@ -242,7 +243,10 @@ def length(formula: float | str, known: Values) -> float:
     for sign, product in re.findall(r"([+-]?)([^+-]+)", formula.replace(" ", "")):
         if missing := [name for name in _NAME.findall(product) if name not in known]:
             raise Problem(f"scene: {formula!r}: {missing[0]} is not known, or only later")
-        value = math.prod(known[f] if f in known else float(f) for f in product.split("*"))
+        try:
+            value = math.prod(known[f] if f in known else finite(f) for f in product.split("*"))
+        except ValueError as error:
+            raise Problem(f"scene: {formula!r}: {error}") from None
         total += -value if sign == "-" else value
     if not math.isfinite(total):
         raise Problem(f"scene: {formula!r}: expected a finite length, got {total}")

@@ -39,6 +39,15 @@ class Solver(Protocol):
     def inside(self, t: float) -> Array: ...
 
 
+def known(plant: Plant, t: float, indicators: Array) -> Array:
+    """Event indicators at a time [s] of a state that a solver has accepted, none of which may be NaN."""
+    if not (lost := np.isnan(indicators)).any():
+        return indicators
+    counts = {name: slave.interface.event_indicators for name, slave in plant.slaves.items()}
+    names = [f"{name}: event indicator {k + 1}" for name, count in counts.items() for k in range(count)]
+    raise Problem(f"{names[int(lost.argmax())]}: expected a finite value, got nan at t = {t:.9g} s")
+
+
 class Integration:
     """Integrates a plant; a subclass is told on the way.
 
@@ -201,7 +210,7 @@ class Integration:
             event = bool((self._sides(t, x) != before).any())
             while event and begin < (middle := 0.5 * (begin + t)) < t:
                 begin, t = (begin, middle) if (self._sides(middle, x) != before).any() else (middle, t)
-            self.settle(t, x)
+            known(self.plant, t, self._indicators(t, x))
             event |= self.plant.completed_step(t, x)
             if event or self.plant.ended:
                 return t, x, event
@@ -210,8 +219,11 @@ class Integration:
 
     def _sides(self, t: float, x: Array) -> NDArray[np.bool_]:
         """The event indicators that are positive."""
+        return self._indicators(t, x) > 0.0
+
+    def _indicators(self, t: float, x: Array) -> Array:
         self.settle(t, x)
-        return self.plant.indicators() > 0.0
+        return self.plant.indicators()
 
     def event(self, t: float, x: Array) -> Array:
         """Event mode at a time; the states after it."""

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 POLL = 0.05  # [s] between two checks for interrupts and limits
 STOP_TIME = 1.0  # [s] that a run has to end by itself after an interrupt
+CLOSE_TIME = 10.0  # [s] that FMUs have to close when a run is complete
 PROGRESS_TIME = 0.1  # [s] between two messages about the progress
 MOST_OF_EVENTS = 100_000_000  # bytes that are read after a crash
 MAX_MESSAGES = 1000  # of FMUs that are kept for a message after a crash
@@ -146,7 +147,7 @@ class _Supervision:
         task = RunTask(job, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, many)
         worker.put(task)
         self._kill_at, self._began = float("inf"), time.perf_counter()
-        self._interrupted = self._killed = False
+        self._interrupted = self._killed = self._stopping = False
         self._limit: LimitExceeded | None = None
 
     def outcome(self, check: Callable[[], None], between: Callable[[float], bool]) -> RunEnd:
@@ -176,9 +177,10 @@ class _Supervision:
             except LimitExceeded as limit:
                 self._limit = limit
                 self._kill()
-            if ends and self._kill_at == float("inf"):
+            if ends and not self._stopping:
+                self._stopping = True
                 self._worker.put(STOP)
-                self._kill_at = time.monotonic() + STOP_TIME
+                self._kill_at = min(self._kill_at, time.monotonic() + STOP_TIME)
             if time.monotonic() > self._kill_at:
                 self._kill()
 
@@ -203,7 +205,8 @@ class _Supervision:
         elif name == "message":
             self._messages.append(replace(content, text=one_line(content.text)))
         elif name == "outcome" and content.errors.keys() <= self._outputs:
-            self._outcome = content
+            self._outcome, end = content, time.monotonic() + CLOSE_TIME
+            self._kill_at = min(self._kill_at, end)
         elif name == "problem" and not self._state().steps:
             raise Problem(content)
         elif name in ("problem", "failed"):
@@ -246,6 +249,13 @@ class _Supervision:
         message = self._cause()
         if self._layout is None and interrupted:
             raise KeyboardInterrupt(message)
+        if self._outcome and self._outcome.complete:
+            return replace(
+                self._outcome,
+                closing=f"the run is complete; then {message}",
+                died=True,
+                interrupted=interrupted,
+            )
         first = f"{self._outcome.problem}; then " if self._outcome and self._outcome.problem else ""
         message = f"{first}{message}"  # many FMUs crash when they are freed
         problem = Problem(message)
@@ -266,7 +276,7 @@ class _Supervision:
         """The FMU, what happened, and in which call, in one line."""
         where = self._worker.where
         if self._killed and self._limit is None:  # a run that did not end when it was asked to
-            return where
+            return where if self._stopping else f"no end within {CLOSE_TIME:g} s {where}"
         cause = str(self._limit or self._worker.cause)
         process = (
             "" if where.startswith("in ") or cause.startswith("the process") else "the process of the run: "

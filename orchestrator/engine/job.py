@@ -219,7 +219,7 @@ class Job:
             self.provenance,
             sink.errors,
         )
-        if end.interrupted:
+        if end.interrupted and not end.closing:
             raise Interrupted(result, str(end.problem or ""))
         if end.problem:
             cause = card.likely_cause(self.coupling.method.repeats)

@@ -453,6 +453,9 @@ class Plant:
         self.changed.clear()
         updates = {name: slave.update for name, slave in self.slaves.items()}
         ended, times = settle(self.system.name, updates, self._copied_discrete)
+        for name in (name for name, time in times.items() if np.isnan(time)):
+            t = f"t = {self._time[0]:.9g} s"
+            raise Problem(f"{name}: expected the next event after {t}, got nan s")
         self.ended, self.next_event = ended or self.ended, min(times.values(), default=np.inf)
         self.leave_events()
 

@@ -13,7 +13,7 @@ from math import ceil, sqrt, ulp
 import numpy as np
 
 from orchestrator.data.table import Array
-from orchestrator.engine.integration import Integration
+from orchestrator.engine.integration import Integration, known
 
 R = sqrt(6.0)
 C = np.array([(4 - R) / 10, (4 + R) / 10, 1.0])
@@ -49,7 +49,7 @@ class Radau:
     def advance(self) -> tuple[float, Array, bool]:
         """One step, up to the first state event at most: time [s], states, True for an event."""
         of, t, x = self._of, self._t, self._x
-        before = self._signs(t, x)
+        before = known(self._of.plant, t, self._signs(t, x))
         of.rates(t, x, self._f)
         f, rest = self._f.copy(), self._target - t
         while True:
@@ -76,7 +76,8 @@ class Radau:
         self._begin, self._span, self._start, self._z = begin, end - begin, x, TO_COEFFICIENTS @ z
         if not before.all():  # as just after an event
             soon = begin + SOON * self._span
-            before = np.where(before, before, self._signs(soon, self.inside(soon)))
+            signs = known(self._of.plant, soon, self._signs(soon, self.inside(soon)))
+            before = np.where(before, before, signs)
         changed = self._signs(end, x + z[2]) != before
         if not changed.any():
             self._t, self._x = end, x + z[2]

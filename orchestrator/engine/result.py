@@ -415,6 +415,7 @@ class RunEnd:
     problem       why the run ended early; None if it is complete
     interrupted   the user ended it
     died          the process of the run has ended
+    closing       what an FMU did after the run was complete, such as a crash when it was freed
     """
 
     t: float
@@ -433,11 +434,12 @@ class RunEnd:
     problem: Problem | None = None
     interrupted: bool = False
     died: bool = False
+    closing: str = ""
 
     @property
     def complete(self) -> bool:
         """Did the run reach its stop time, or the time at which an FMU asked to end it?"""
-        return self.problem is None and not self.interrupted
+        return self.problem is None and (not self.interrupted or bool(self.closing))
 
 
 def bonds_above(bonds: Sequence[BondEnergy], limit: float) -> list[BondEnergy]:
@@ -619,6 +621,7 @@ def metadata_text(
     return json.dumps(data, indent=1, ensure_ascii=False, default=str) + "\n"
 
 
+MAX_HEADING = 1000  # bytes of a line, far more than those of the headings below
 EVENTS, TEXTS = ("time", "causes"), ("time", "signal", "text")  # headings of files
 
 
@@ -632,8 +635,10 @@ def write_events(card: Card, trace: Path) -> None:
             csv.writer(lines, lineterminator="\n").writerows([head, *rows])
             write_whole(file, lines.getvalue())
         elif file.is_file():
-            with file.open(encoding="utf-8", errors="replace") as stream:
-                if stream.readline().strip() == ",".join(head):  # it could be a trace of another name
+            with Location(file).opened() as stream:
+                if (
+                    stream.readline(MAX_HEADING).strip() == ",".join(head).encode()
+                ):  # it could be a trace of another name
                     file.unlink()
 
 
@@ -644,7 +649,7 @@ def read_metadata(path: Path) -> RunMetadata | None:
     """
     file = metadata_file(path)
     if file.is_file():
-        loaded, digest = _parsed(file, file.read_text(encoding="utf-8"))
+        loaded, digest = _parsed(file, Location(file).text())
         if digest == Location(path).sha256:
             return loaded
     inside = read_origin(path)

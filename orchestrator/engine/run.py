@@ -123,6 +123,10 @@ def _co_simulated(
                     continue
                 result = search.noted(result) if search else result
                 keep(result, sink, interrupts.check)
+                if end.closing and end.interrupted:
+                    raise Interrupted(result, end.closing)
+                if end.closing:
+                    raise RunFailed(Problem(end.closing), result, end.died)
         except RunFailed as failed:
             if not (search and not failed.final and not failed.result.complete and search.goes_on()):
                 raise
@@ -284,7 +288,7 @@ class _Output:
     def explain(self, error: Exception, result: Result | None) -> None:
         """Add to an error what is kept of a run with this result; a part of a run gets its metadata."""
         if self._complete:
-            error.add_note(self._complete.card.text())
+            error.add_note(f"{self._complete.card.text()}\n\n{self.line}")
         elif result and not result.complete:
             file = self._file
             if file.partial.is_file():

@@ -10,18 +10,17 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zipfile import BadZipFile
-from zlib import error as ZlibError
+from zipfile import ZipFile
 
 import numpy as np
 
 from orchestrator.base.compiler import host
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import naming, write_whole
+from orchestrator.base.files import ZIP_ERRORS, Location, require, size_fault, write_whole
 from orchestrator.base.options import seconds
 from orchestrator.engine.c_library import recipe
 from orchestrator.engine.time_grid import Grid
@@ -31,7 +30,8 @@ if TYPE_CHECKING:
     from orchestrator.engine.job import Job
     from orchestrator.engine.simulation_loop import SimulationLoop
 
-FORMAT = "harvester-cosim run 1"
+FORMAT, SUFFIX = "harvester-cosim run 1", ".state"
+DIGEST = 32  # bytes in front of the archive
 SHOWN = 60  # letters of a difference in a message
 SERIALISES = ("canSerializeFMUstate", "canSerializeFMUState")
 
@@ -72,6 +72,8 @@ def check(job: Job) -> tuple[str, ...]:
             raise Problem(f"{given[0]}: expected one run with a given master and step, got {name}")
     if job.options.get("resume") == "":
         raise Problem("resume: expected the file of a state, got an empty name")
+    if "resume" in given:
+        require(job.options["resume"], (SUFFIX,))
     for name, component in job.system.components.items():
         face = component.interface
         entry = face.model.interfaces.get(face.kind)
@@ -112,15 +114,28 @@ def save(file: Path, job: Job, loop: SimulationLoop) -> None:
         arrays |= {f"fmu_{k}_{name}": np.asarray(part) for name, part in slave.saved().items()}
     document = {"format": FORMAT, "identity": _identity(job, loop), "loop": loop.saved()}
     text = np.frombuffer(json.dumps(document).encode(), np.uint8)
-    buffer = BytesIO()
-    np.savez_compressed(buffer, document=text, **arrays)
-    data = buffer.getvalue()
+    for write in (np.savez_compressed, np.savez):  # packed zeros would look like a bomb
+        write(buffer := BytesIO(), document=text, **arrays)
+        with ZipFile(buffer) as archive:
+            fault = size_fault(archive.infolist(), len(data := buffer.getvalue()))
+        if not fault:
+            break
+    else:
+        raise Problem(f"{file}: {fault}")
     write_whole(file, sha256(data).digest() + data)
 
 
 def resume(file: Path, job: Job, loop: SimulationLoop) -> None:
     """Continue from a saved state in a run that has begun."""
-    arrays = _read(file)
+    try:
+        _resume(file, _read(file), job, loop)
+    except (*ZIP_ERRORS, LookupError, AttributeError, TypeError, MemoryError):
+        raise Problem(
+            f"{file}: expected the state of a run as --save-state writes it, got another or a damaged file"
+        ) from None
+
+
+def _resume(file: Path, arrays: dict[str, Any], job: Job, loop: SimulationLoop) -> None:
     document = json.loads(bytes(arrays.pop("document")))
     for name, now in _identity(job, loop).items():
         saved = document["identity"].get(name)
@@ -146,30 +161,16 @@ def _fmus(loop: SimulationLoop) -> Iterator[RunningFmu]:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """The arrays of a file; raises Problem if it is none, or is damaged."""
-    with naming(file):
-        digest, data = (content := file.read_bytes())[:32], content[32:]
-    try:
-        if sha256(data).digest() != digest:
+    """The arrays of a file within the limits of archives; raises Problem or what NumPy raises."""
+    place = Location(require(file, (SUFFIX,)))
+    with place.opened() as opened:
+        if opened.read(DIGEST) != file_digest(opened, "sha256").digest():  # type: ignore[arg-type]
             raise ValueError
-        with np.load(BytesIO(data), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        if json.loads(bytes(arrays["document"]))["format"] != FORMAT:
-            raise KeyError
-    except (
-        BadZipFile,
-        ZlibError,
-        ValueError,
-        KeyError,
-        EOFError,
-        OSError,
-        AttributeError,
-        TypeError,
-        NotImplementedError,
-    ):
-        raise Problem(
-            f"{file}: expected the state of a run as --save-state writes it, got another or a damaged file"
-        ) from None
+    with place.zip() as archive:
+        parts = {m.filename.removesuffix(".npy"): archive.read(m) for m in archive.infolist()}
+    arrays = {n: np.lib.format.read_array(BytesIO(p), allow_pickle=False) for n, p in parts.items()}
+    if json.loads(bytes(arrays["document"]))["format"] != FORMAT:
+        raise ValueError
     return arrays
 
 

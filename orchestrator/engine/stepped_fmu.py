@@ -21,7 +21,7 @@ from orchestrator.base.errors import AtEvent, Problem
 from orchestrator.base.files import Location
 from orchestrator.data.table import Array
 from orchestrator.engine.c_library import Binding
-from orchestrator.engine.integration import Integration, Solver
+from orchestrator.engine.integration import Integration, Solver, known
 from orchestrator.engine.plant import Plant
 from orchestrator.engine.radau import Radau
 from orchestrator.fmi.calls import Buffer, Call
@@ -292,4 +292,4 @@ class _Stepped(Integration):
         return t
 
     def _sides_now(self) -> NDArray[np.bool_]:
-        return self.plant.indicators() > 0.0
+        return known(self.plant, self._fmu.log.time, self.plant.indicators()) > 0.0

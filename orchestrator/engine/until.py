@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.interrupts import of_user
+from orchestrator.base.numerals import finite
 from orchestrator.base.signals import matching
 from orchestrator.base.text import first_names
 from orchestrator.base.units import from_user_unit, number_and_unit
@@ -56,9 +57,11 @@ def condition(system: System, until: str | Callable[[float, Row], Any]) -> Compa
         raise Problem(f"until {until}: expected one signal, got {got}")
     number, unit = number_and_unit(found[3])
     try:
-        value = float(number)
+        value = finite(number)
     except ValueError:
-        raise Problem(f"until {until}: expected a number behind {found[2]}, got {found[3]!r}") from None
+        raise Problem(
+            f"until {until}: expected a finite number behind {found[2]}, got {found[3]!r}"
+        ) from None
     if unit:
         own = system.variable(system.port(names[0])).unit
         value = from_user_unit(unit, own, f"until {until}")(value)

@@ -125,9 +125,7 @@ def to_ctypes(variable: FmuVariable, ctype: Any, value: Value) -> Any:
 
 
 def from_ctypes(variable: FmuVariable, value: Any) -> Value:
-    """The value of an element of a ctypes array."""
-    if variable.kind in TEXTS:
-        return (value or b"").decode(errors="replace")
+    """The value of an element of a ctypes array of numbers."""
     return bool(value) if variable.kind == "Boolean" else value
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.numerals import integer
 from orchestrator.fmi.calls import Call
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import CallFailed, FmuInstance
@@ -80,11 +81,12 @@ class ClockCalls:
         call()
         if more and results[-1][0] == UNKNOWN:
             return Fraction(0), results[-1]
-        if exact:
-            return Fraction(results[0][0], results[1][0] or 1), results[-1]
-        if not np.isfinite(seconds := results[0][0]):
+        if exact and results[1][0]:
+            return Fraction(results[0][0], results[1][0]), results[-1]
+        if exact or not np.isfinite(seconds := results[0][0]):
             name, what = f"{self._name}.{clock.name}", "a shift" if as_decimal in SHIFT else "an interval"
-            raise Problem(f"{name}: expected {what} in seconds, got {seconds}")
+            got = f"{results[0][0]}/0" if exact else seconds
+            raise Problem(f"{name}: expected {what} in seconds, got {got}")
         return Fraction(repr(seconds)), results[-1]
 
     def ask(self, inputs: Iterable[FmuVariable]) -> None:
@@ -205,5 +207,6 @@ class Schedule:
     def resume(self, saved: list[Any]) -> None:
         """Go on from a saved run."""
         for c, texts in zip(self._timed, saved, strict=True):
-            c.interval, tick = (None if text == "None" else Fraction(text) for text in texts)
+            parts = (text != "None" and [*map(integer, text.split("/"))] for text in texts)
+            c.interval, tick = (Fraction(*numbers) if numbers else None for numbers in parts)
             c.schedule(tick)

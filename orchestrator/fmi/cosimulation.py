@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
@@ -14,6 +15,7 @@ import numpy as np
 from orchestrator.base.errors import AtEvent, Discarded, Ended, Problem
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import (
+    TEXTS,
     Access,
     Buffer,
     Call,
@@ -29,6 +31,7 @@ from orchestrator.fmi.clocks import ClockCalls
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.fmi.instance import (
     CLOSE,
+    MAX_VALUES,
     MOST_CLOSE_EVENTS,
     AfterCall,
     FmuInstance,
@@ -41,6 +44,8 @@ from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
 UNUSED = ("sources/", "documentation/")  # by a running FMU
+_LENGTH = (ctypes.CDLL(None) if os.name == "posix" else ctypes.cdll.msvcrt).strnlen
+_LENGTH.argtypes, _LENGTH.restype = (ctypes.c_void_p, ctypes.c_size_t), ctypes.c_size_t
 LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
 
@@ -329,14 +334,22 @@ class RunningFmu:
 
     def _values(self, whole: FmuVariable) -> list[Value]:
         """The values of an array or a scalar."""
-        if whole.kind == "Binary":
-            pointers, sizes = (ctypes.c_void_p * whole.size)(), (ctypes.c_size_t * whole.size)()
-            references = self.fmu.references([whole.reference])
-            self.fmu.call("GetBinary", *references, sizes, *self.fmu.values(pointers, whole.size))
-            return [ctypes.string_at(p, n).hex() if p else "" for p, n in zip(pointers, sizes, strict=True)]
         cells = (self.fmu.types[whole.function_type] * whole.size)()
-        self._call_whole("Get", whole, cells)
-        return [from_ctypes(whole, cell) for cell in cells]
+        if whole.kind not in TEXTS:
+            self._call_whole("Get", whole, cells)
+            return [from_ctypes(whole, cell) for cell in cells]
+        sizes = (ctypes.c_size_t * whole.size)()
+        if whole.kind == "Binary":
+            references = self.fmu.references([whole.reference])
+            self.fmu.call("GetBinary", *references, sizes, *self.fmu.values(cells, whole.size))
+        else:
+            self._call_whole("Get", whole, cells)
+        pointers = (ctypes.c_void_p * whole.size).from_buffer(cells)
+        if whole.kind == "String":
+            sizes[:] = [_LENGTH(p, MAX_VALUES + 1) if p else 0 for p in pointers]
+        self.fmu.check_size(f"the value of {whole.name}", sum(sizes))
+        found = [ctypes.string_at(p, n) if p else b"" for p, n in zip(pointers, sizes, strict=True)]
+        return [data.hex() if whole.kind == "Binary" else data.decode(errors="replace") for data in found]
 
     def set(self, variable: str, value: Any) -> None:
         """Set one variable of any type, or an array by the values of all its elements.

@@ -14,6 +14,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import product
 
+from orchestrator.base.numerals import fraction, integer, real
 from orchestrator.base.units import BASES, DeclaredUnit
 from orchestrator.base.xml import Element, attributes_of, child, children, local_name
 
@@ -59,7 +60,7 @@ INITIAL_3 = INITIAL | {("input", v): ("exact",) for v in ("discrete", "continuou
 def parse_int(text: str | None) -> int | None:
     """An integer; None for any other text."""
     try:
-        return None if text is None else int(text)
+        return None if text is None else integer(text)
     except ValueError:
         return None
 
@@ -67,14 +68,14 @@ def parse_int(text: str | None) -> int | None:
 def parse_float(text: str | None) -> float | None:
     """A number; None for any other text."""
     try:
-        return None if text is None else float(text)
+        return None if text is None else real(text)
     except ValueError:
         return None
 
 
 def parse_numbers(text: str) -> tuple[float, ...]:
     """Numbers and booleans, separated by white space; ValueError for any other text."""
-    return tuple(BOOLEANS[w] if w in BOOLEANS else float(w) for w in text.split())
+    return tuple(BOOLEANS[w] if w in BOOLEANS else real(w) for w in text.split())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,7 +92,7 @@ class Entry:
     def number(self, name: str) -> float | None:
         """The value of an attribute; None if it is missing."""
         text = self.attributes.get(name)
-        return None if text is None else float(text)
+        return None if text is None else real(text)
 
     def declares(self, *names: str) -> bool:
         """True if one of these attributes is true or above 0; FMI 2.0 and 3.0 spell some differently."""
@@ -108,7 +109,7 @@ class TypeDefinition(Entry):
     @cached_property
     def values(self) -> Mapping[str, int]:
         """The values of an enumeration by name."""
-        return {name: int(value) for name, value in self.items}
+        return {name: integer(value) for name, value in self.items}
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,14 +250,17 @@ class FmuVariable(Entry):
     def fraction(self, name: str) -> Fraction | None:
         """`interval` or `shift` of a clock [s], exactly as it is declared; None if it is not.
 
-        With `supportsFraction` the fraction is the exact one, else the decimal number.
+        With `supportsFraction` the fraction is the exact one, else the decimal number. Raises ValueError for
+        what is no number of seconds.
         """
-        counter, resolution = parse_int(self.get(f"{name}Counter")), parse_int(self.get("resolution"))
-        exact = None if counter is None or not resolution else Fraction(counter, resolution)
-        decimal = self.get(f"{name}Decimal")
-        if decimal and not (exact is not None and self.declares("supportsFraction")):
-            return Fraction(decimal)
-        return exact
+        decimal, counter = self.get(f"{name}Decimal"), self.get(f"{name}Counter")
+        resolution = self.get("resolution")
+        exact = counter and resolution and (self.declares("supportsFraction") or not decimal)
+        if not exact:
+            return fraction(decimal) if decimal else None
+        if (parts := integer(resolution)) < 1:
+            raise ValueError(f"expected a resolution of 1 or more, got {resolution!r}")
+        return Fraction(integer(counter), parts)
 
     @property
     def description(self) -> str:
@@ -294,7 +298,7 @@ class FmuVariable(Entry):
         """Minimum and maximum of a numeric variable, infinite if not declared."""
         if not self.is_number:
             return -math.inf, math.inf
-        return float(self.get("min", "-inf")), float(self.get("max", "inf"))
+        return real(self.get("min", "-inf")), real(self.get("max", "inf"))
 
     @cached_property
     def nominal(self) -> float | None:
@@ -349,8 +353,8 @@ class UnitDefinition:
         texts = self.base_unit.get("factor", "1"), self.base_unit.get("offset", "0")
         factor, offset = (math.nan if (number := parse_float(t)) is None else number for t in texts)
         try:
-            exponents = tuple(int(self.base_unit.get(b, "0")) for b in BASES)
-            _ = [float(text) for text in texts]
+            exponents = tuple(integer(self.base_unit.get(b, "0")) for b in BASES)
+            _ = [*map(real, texts)]
         except ValueError as error:
             return DeclaredUnit(self.name, None, factor, offset, str(error))
         return DeclaredUnit(self.name, exponents, factor, offset)

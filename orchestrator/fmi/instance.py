@@ -50,6 +50,7 @@ EVENT_FLAGS = ("needed", "terminate", "nominals", "values", "defined")
 MAX_EVENT_ITERATIONS = 100  # at one event
 CLOSE = 1e-6  # of a step: events that are closer follow each other without progress
 MOST_CLOSE_EVENTS = 200  # in a row
+MAX_STATE, MAX_VALUES = 2 << 30, 64 << 20  # bytes that an FMU returns: a state, and the values of a variable
 GUARD_BYTES = 64  # after the buffer of a serialised state, to detect a write beyond its end
 CallHook = Callable[[str, float], None]
 AfterCall = Callable[["FmuInstance"], None] | None
@@ -412,15 +413,22 @@ class FmuInstance:
         """Free a saved FMU state."""
         self.call("FreeFMUState", ctypes.byref(state))
 
+    def check_size(self, what: str, size: int, most: int = MAX_VALUES) -> None:
+        """Refuse a size that the FMU has chosen [bytes], before memory is taken for it."""
+        if size > most:
+            raise CallFailed(self.log.error_message(what, f"has more than {most / 1e6:.0f} MB"))
+
     def serialize(self, state: ctypes.c_void_p) -> bytes:
         """Serialise a saved FMU state, for another process."""
         size = ctypes.c_size_t()
         self.call("SerializedFMUStateSize", state, ctypes.byref(size))
-        buffer = (ctypes.c_ubyte * (size.value + GUARD_BYTES))(*[0] * size.value, *[0xA5] * GUARD_BYTES)
+        self.check_size("a serialised state", size.value, MAX_STATE)
+        buffer = (ctypes.c_ubyte * (size.value + GUARD_BYTES))()
+        ctypes.memset(ctypes.byref(buffer, size.value), 0xA5, GUARD_BYTES)
         self.call("SerializeFMUState", state, buffer, size)
         if bytes(buffer[size.value :]) != b"\xa5" * GUARD_BYTES:
             raise CallFailed(f"serialising a state: more is written than the announced {size.value} bytes")
-        return bytes(buffer[: size.value])
+        return ctypes.string_at(buffer, size.value)
 
     def deserialize(self, data: bytes) -> ctypes.c_void_p:
         """Restore a saved FMU state from the bytes of `serialize`; free it with `free_state`."""

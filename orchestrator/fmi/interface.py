@@ -9,10 +9,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
+from sys import float_info
 from typing import Any
 
 from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
 from orchestrator.base.files import Location, is_file_name
+from orchestrator.base.numerals import integer
 from orchestrator.base.text import grouped
 from orchestrator.base.units import DeclaredUnit
 from orchestrator.base.xml import MAX_BYTES, parse_text
@@ -23,13 +25,13 @@ from orchestrator.fmi.description import (
     FmuVariable,
     ModelDescription,
     Unknown,
-    parse_int,
     read_description,
 )
 
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
 MAX_LISTED = 5  # unsupported variables in a note
 MAX_ELEMENTS = 10_000  # of an array, which are signals each
+MAX_INDICATORS = 1_000_000
 # bytes of a description whose interface is kept: 2500 variables, ten times as much in memory; number of them
 LONGEST_KEPT, MOST_KEPT = 1 << 20, 64
 # field of `FmuInterface` -> attribute of the interface type that declares it, in FMI 2.0 and in FMI 3.0
@@ -312,7 +314,6 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
     attributes: dict[str, Any] = {n: capabilities.declares(*names) for n, names in CAPABILITIES.items()}
     ports = [v for v in variables.values() if v.causality in ("input", "output")]
     attributes["event_mode"] &= attributes["early_return"] or not all(v.is_continuous for v in ports)
-    indicators = parse_int(description.get("numberOfEventIndicators")) or 0
     return FmuInterface(
         variables=variables,
         arrays={v.name: v for v in supported if v.shape},
@@ -324,7 +325,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         unsupported=unsupported,
         can_interpolate_inputs=capabilities.declares("canInterpolateInputs") and fmi == 2,
         rate_inputs=_rate_inputs(supported, description, variables),
-        event_indicators=indicators if fmi == 2 else _indicator_count(description),
+        event_indicators=_indicator_count(description),
         completed_step=capabilities.declares("needsCompletedIntegratorStep")
         if fmi == 3
         else not capabilities.declares("completedIntegratorStepNotNeeded"),
@@ -370,10 +371,11 @@ def _check(
                 raise Problem(
                     f"{v.name} has a clock: expected Co-Simulation with event mode, got an FMU without"
                 )
-            if v.kind == "Clock" and [p for n in ("interval", "shift") if (p := v.fraction(n) or 0) < 0]:
-                raise ValueError(f"{v.get('intervalDecimal') or v.get('shiftDecimal')!r}")
+            for name in ("interval", "shift") if v.kind == "Clock" else ():
+                if not 0 <= (v.fraction(name) or 0) <= float_info.max:
+                    raise ValueError(f"expected 0 s or more, got {v.get(f'{name}Decimal')!r}")
         except ValueError as error:
-            raise Problem(f"{v}: expected interval and shift of a clock in seconds, got {error}") from None
+            raise Problem(f"{v}: interval and shift of a clock [s]: {error}") from None
     ports = [v.name for v in declared if v.causality in ("input", "output")]
     if ports and all(name in unsupported for name in ports):
         first = f"{ports[0]} is {unsupported[ports[0]]}"
@@ -437,11 +439,17 @@ def _dependencies(
 
 
 def _indicator_count(description: ModelDescription) -> int:
-    """The number of event indicators of an FMI 3.0 FMU, of which one variable may hold several."""
+    """The number of event indicators; in FMI 3.0 one variable may hold several."""
     try:
-        return sum(u.variable.size if u.variable else 1 for u in description.structure["indicators"])
+        if description.major == 2:
+            count = integer(description.get("numberOfEventIndicators", "0"))
+        else:
+            count = sum(u.variable.size if u.variable else 1 for u in description.structure["indicators"])
     except ValueError as error:
-        raise Problem(f"event indicator {error}") from None
+        raise Problem(f"event indicators: {error}") from None
+    if not 0 <= count <= MAX_INDICATORS:
+        raise Problem(f"expected 0 to {MAX_INDICATORS} event indicators, got {count}")
+    return count
 
 
 def _states(description: ModelDescription, unsupported: Mapping[str, str]) -> dict[str, str]:

@@ -1,6 +1,5 @@
 """Writes the Modelica package: blocks, models with flanges, connected systems, and the FMUs as resources."""
 
-import hashlib
 import json
 import re
 import tempfile
@@ -9,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.files import Location
 from orchestrator.base.text import rendered
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import FmuVariable
@@ -121,7 +121,7 @@ def _write(folder: Path, name: str, text: str, blocks: PackageBlocks) -> None:
 def _checksums(folder: Path) -> dict[str, str]:
     """SHA-256 by path of all files except the list of checksums."""
     files_ = sorted(p for p in folder.rglob("*") if p.is_file() and p != folder / CHECKSUMS)
-    return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files_}
+    return {p.relative_to(folder).as_posix(): Location(p).sha256 for p in files_}
 
 
 def _check_unchanged(folder: Path) -> None:
@@ -129,8 +129,8 @@ def _check_unchanged(folder: Path) -> None:
     if not folder.exists():
         return
     try:
-        checksums = json.loads((folder / CHECKSUMS).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        checksums = json.loads(Location(folder / CHECKSUMS).text())
+    except (Problem, ValueError, RecursionError):
         found = "the folder exists, but is not a package that this command wrote"
         raise Problem(f"{folder}: {found}: choose another --out or --name") from None
     for path, checksum in _checksums(folder).items():

@@ -31,7 +31,7 @@ from orchestrator.base.processes import check_room
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import ReferenceArguments
-from orchestrator.engine.integration import Integration, Solver
+from orchestrator.engine.integration import Integration, Solver, known
 from orchestrator.engine.job import Job
 from orchestrator.engine.plant import Plant
 from orchestrator.engine.refinement import Progress, compared, estimated_error
@@ -145,6 +145,9 @@ class CvodeSolver:
             step = self._solved(self._method.step(self._target, method="onestep", tstop=self._target))
             if step.t > self._t:  # after an interpolation the solver returns its last step once more
                 self._t = float(step.t)
+                if self._of.plant.indicator_count:
+                    self._of.settle(self._t, step.y)
+                    known(self._of.plant, self._t, self._of.plant.indicators())
                 return self._t, step.y, step.status == ROOT
 
     def inside(self, t: float) -> Array:

@@ -24,8 +24,9 @@ from math import isclose
 from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.numerals import finite, integer
 from orchestrator.base.options import declarations
-from orchestrator.base.xml import XmlElement, finite, integer, local_name
+from orchestrator.base.xml import XmlElement, local_name
 from orchestrator.ssp.coupling import Coupling, Suggestion
 
 OWN, COUPLING, SHARED, COMMON = "harvester-cosim", "Coupling", "SharedParameter", "CommonParameter"

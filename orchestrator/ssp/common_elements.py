@@ -6,8 +6,9 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.numerals import boolean, integer
 from orchestrator.base.units import BASES, IDENTITY, DeclaredUnit, LinearTransformation
-from orchestrator.base.xml import XmlElement, boolean, integer
+from orchestrator.base.xml import XmlElement
 
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"  # version 2.0 has the same namespaces
 NAMESPACES = {

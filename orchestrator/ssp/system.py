@@ -14,6 +14,7 @@ import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
+from orchestrator.base.numerals import integer, real
 from orchestrator.base.signals import selected
 from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import (
@@ -24,7 +25,6 @@ from orchestrator.base.units import (
     from_user_unit,
     number_and_unit,
 )
-from orchestrator.base.xml import integer, real
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.coupling import Coupling, Suggestion

@@ -33,9 +33,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import PARTIAL, put, write_whole
+from orchestrator.base.files import PARTIAL, Location, put, write_whole
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import quote_key
+from orchestrator.data.matlab import foreign
 from orchestrator.studies import design
 from orchestrator.studies.runs import STOPPED, PreparedStudy, RunOutcome, band_times, digest, limit_is_raised
 from orchestrator.studies.study import Choice, Factor, Output, Study
@@ -140,11 +141,11 @@ class Store:
         )
         write_whole(file, text)
         if study.source:
-            write_whole(folder / "study.toml", Path(study.source).read_bytes())
+            write_whole(folder / "study.toml", Location(Path(study.source)).read())
         for unfinished in self._parts.glob(f".*{PARTIAL}"):
             unfinished.unlink()
         for part in self._files():
-            if not _is_intact(part, part.read_bytes()):
+            if not _is_intact(part, Location(part).read()):
                 logging.getLogger(__name__).warning("%s: %s: its runs are computed again", part, DAMAGED)
                 part.unlink()
 
@@ -258,7 +259,7 @@ def _is_intact(part: Path, content: bytes) -> bool:
 
 def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
     """The rows of a batch file."""
-    content = part.read_bytes()
+    content = Location(part).read()
     if not _is_intact(part, content):  # damaged since the study was started
         raise Problem(f"{part}: {DAMAGED}; the same command repeats its runs")
     return pq.read_table(BytesIO(content), columns=columns)
@@ -267,10 +268,10 @@ def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
 def _read_results(file: Path) -> pa.Table:
     """The rows of a file of results, whose pages have checksums."""
     try:
-        return pq.read_table(file, page_checksum_verification=True)
-    except (OSError, pa.ArrowException) as error:
-        message = " ".join(str(error).split())
-        raise Problem(f"{file}: cannot be read ({message}); --fresh computes the study again") from None
+        with foreign(file, "a Parquet"):
+            return pq.read_table(BytesIO(Location(file).read()), page_checksum_verification=True)
+    except Problem as problem:
+        raise Problem(f"{problem}; --fresh computes the study again") from None
 
 
 def _with_units(table: pa.Table, units: Mapping[str, str]) -> pa.Table:
@@ -306,7 +307,7 @@ def from_json(fields: Mapping[str, Any], title: str) -> Study:
 
 def _read_study_json(file: Path) -> dict[str, Any]:
     try:
-        stored: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        stored: dict[str, Any] = json.loads(Location(file).text())
         stored["study"], stored["files"], stored["title"]
         dict(_flat("", stored["study"]))
     except (ValueError, TypeError, KeyError, RecursionError):  # such as items without a name

@@ -5,6 +5,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
+from orchestrator.data.matlab import foreign
 
 LONGEST = 2**20  # characters of the header line; that of a run with all signals has some thousand
 SUFFIXES = (".csv", ".parquet")
@@ -47,9 +49,9 @@ def columns_of(path: Path) -> list[str]:
     try:
         if path.suffix.lower() == ".parquet":
             return _columns_of_parquet(path)
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            header = file.readline(LONGEST)
-    except (OSError, ValueError):
+        with Location(path).opened() as file:
+            header = file.readline(LONGEST).decode("utf-8-sig")
+    except (Problem, ValueError):
         return []
     return [name.strip() for name in next(csv.reader([header]), [])]
 
@@ -57,11 +59,8 @@ def columns_of(path: Path) -> list[str]:
 def _columns_of_parquet(path: Path) -> list[str]:
     """Names of the columns; empty if the package that reads the file is not installed."""
     try:
-        import pyarrow as pa
         import pyarrow.parquet as pq
     except ModuleNotFoundError:
         return []
-    try:
+    with foreign(path, "a Parquet"):
         return list(pq.read_schema(path).names)
-    except pa.ArrowException:
-        return []

@@ -27,6 +27,8 @@ from itertools import repeat
 from types import NoneType, UnionType
 from typing import Any, BinaryIO, Union, get_args, get_origin, get_type_hints
 
+from orchestrator.base.errors import Problem
+
 HEAD, TAIL = struct.Struct("<4sIIQI"), struct.Struct("<4sI")
 MAGIC = b"hvw1"
 MOST_TEXT = 1 << 24  # bytes: 64 000 names of 250 characters
@@ -65,7 +67,9 @@ def packed(number: int, name: str, content: Any) -> list[bytes | memoryview]:
     text = json.dumps([name, content], default=other).encode()
     size = sum(map(len, arrays))
     if len(text) > MOST_TEXT or size > MOST_BYTES:
-        raise ValueError(f"{name}: a message of {len(text)} + {size} bytes is too long")
+        got = f"{len(text) / 1e6:.3g} MB and {size / 1e6:.3g} MB"
+        most = f"{MOST_TEXT / 1e6:.3g} MB of texts and {MOST_BYTES / 1e6:.3g} MB of numbers"
+        raise Problem(f"{name}: expected at most {most}, got {got}")
     head = HEAD.pack(MAGIC, number, len(text), size, _checksum(number, text, size))
     return [head + text, *arrays, TAIL.pack(MAGIC[::-1], number)]
 

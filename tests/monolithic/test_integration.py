@@ -186,3 +186,18 @@ def test_the_limits_of_the_tolerance_are_allowed(fmu, tolerance):
     given = reference(fmu("room", 2), tolerance=tolerance, **options)
     default = reference(fmu("room", 2), **options)
     assert (given["room2.T"].tolist() == default["room2.T"].tolist()) == (tolerance == 2e-14)
+
+
+@pytest.mark.parametrize("x", [(), (1.0,)], ids=["without states", "with a state"])
+@pytest.mark.parametrize("since", [0.0, 0.3, 1.0])
+def test_an_indicator_that_is_no_number_is_told(x, since):
+    """At once, and not searched for; until then the run goes on."""
+    plant = Equations(x, z=lambda t: [1.0, np.nan if t >= since else 2.0])
+    plant.indicator_count, plant.slaves = (
+        2,
+        {"a": SimpleNamespace(interface=SimpleNamespace(event_indicators=2))},
+    )
+    told = r"^a: event indicator 2: expected a finite value, got nan at t = "
+    with pytest.raises(Problem, match=told):
+        solved(plant, Grid(0.0, 0.1, 10))
+    assert all(t <= since + 0.1 for t in plant.told)

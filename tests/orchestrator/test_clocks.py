@@ -562,8 +562,13 @@ def test_traps_that_an_fmu_switches_on_in_an_instant_end_nothing(unit, how):
     ("interval", "given", "message"),
     [
         (DECIMAL.format("0"), {}, "unit.tick: expected an interval above 0 s, got 0 s"),
-        (DECIMAL.format("-1"), {}, "expected interval and shift of a clock in seconds, got '-1'"),
-        (DECIMAL.format("x"), {}, "expected interval and shift of a clock in seconds, got "),
+        (DECIMAL.format("-1"), {}, "interval and shift of a clock [s]: expected 0 s or more, got '-1'"),
+        (DECIMAL.format("x"), {}, "interval and shift of a clock [s]: expected a number, got "),
+        (
+            DECIMAL.format("1e999999999"),
+            {},
+            ": tick: interval and shift of a clock [s]: expected a finite number",
+        ),
         (
             'intervalVariability="fixed"',
             {"period": -2.0},

@@ -279,7 +279,7 @@ def test_a_pipe_is_no_file(tmp_path):
         problem(lambda path=path: describe(path), "no such file|a device or a pipe")
     for suffix in (".csv", ".mat", ".parquet", ".mf4"):
         os.mkfifo(path := tmp_path / f"b{suffix}")
-        problem(lambda path=path: read_trace(path), "no such file")
+        problem(lambda path=path: read_trace(path), "expected a file, got a device or a pipe")
 
 
 CELLS = [  # the csv module refuses more than 131 072 characters by an exception of its own

@@ -223,6 +223,21 @@ def test_a_crash_at_the_end_does_not_hide_why_the_run_failed(tmp_path):
 
 
 @posix
+@pytest.mark.parametrize(
+    ("fault", "told"), [("segfault", "segmentation fault in fmi2F"), ("sleep", "no end within 0.5 s in f")]
+)
+def test_a_run_that_is_complete_keeps_its_file(tmp_path, monkeypatch, fault, told):
+    """Whatever an FMU does when it is freed: the file of all rows, and one line."""
+    monkeypatch.setattr(isolated, "CLOSE_TIME", 0.5)
+    bad = faulty(tmp_path, fault, "free", name="bad")
+    with pytest.raises(RunFailed, match=f"^the run is complete; then {told}") as failed:
+        run_to_file(bad.fmu, None, tmp_path / "a.csv", **STEPS)
+    assert len(read_trace(tmp_path / "a.csv").time) == 101
+    assert failed.value.result.complete
+    assert not [*tmp_path.glob("*.partial*")]
+
+
+@posix
 def test_a_forked_process_has_its_own_process_for_runs(fmus, oscillator):
     """That of the parent is neither used nor ended by it."""
     run(oscillator, **STEPS)

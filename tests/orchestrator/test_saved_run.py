@@ -1,5 +1,7 @@
 """A run that was saved goes on bit for bit: in another process, with all masters, steps and kinds of FMUs."""
 
+import hashlib
+import io
 import subprocess
 import sys
 import zipfile
@@ -10,6 +12,8 @@ from kit.any_fmu.models import bank_fmu, oscillator_of
 from kit.mistakes import problem
 
 from orchestrator import Coupling, Master, Trace, assemble, run
+from orchestrator.base import files
+from orchestrator.engine import saved_run
 
 MASTERS = {
     "jacobi of order 3": Coupling("jacobi", order=3),
@@ -131,17 +135,58 @@ def text(file):
     file.write_text("a,b\n1,2\n")
 
 
+def with_more(file, name="memory_9999.npy", size=1, shape=(1,)):
+    """Another array, packed, with a checksum that is right."""
+    data = io.BytesIO(file.read_bytes()[32:])
+    with zipfile.ZipFile(data, "a", zipfile.ZIP_DEFLATED) as archive, archive.open(name, "w") as member:
+        np.lib.format.write_array_header_1_0(member, {"descr": "|u1", "fortran_order": False, "shape": shape})
+        member.write(bytes(size))
+    file.write_bytes(hashlib.sha256(data.getvalue()).digest() + data.getvalue())
+
+
+def bomb(file):
+    """More zeros than an archive may unpack to: the limit is that of the test."""
+    with_more(file, size=4_000_000, shape=(4_000_000,))
+
+
+def declared(file):
+    """An array of 2^60 bytes of which there is one."""
+    with_more(file, shape=(1 << 60,))
+
+
+def device(file):
+    file.unlink()
+    file.symlink_to("/dev/zero")
+
+
+@pytest.fixture(scope="module")
+def pair(bank):
+    return assemble({"a": bank, "b": bank}, ["a.y[1] -> b.u[2]"], {"a.u[1]": 1.0})
+
+
+@pytest.fixture(scope="module")
+def state(pair, tmp_path_factory):
+    """The bytes of a state at half the time."""
+    file = tmp_path_factory.mktemp("state") / "a.state"
+    run(pair, step=0.01, stop=HALF, master="gauss-seidel", save_state=file, isolate=False)
+    return file.read_bytes()
+
+
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [
         (flipped, {}, "expected the state of a run as --save-state writes it, got another or a damaged file"),
         (text, {}, "got another or a damaged file"),
+        (bomb, {}, "a.state: expected at most 3 MB unpacked, got "),
+        (declared, {}, "got another or a damaged file"),
+        (with_more, {}, "got another or a damaged file"),
+        (device, {}, "a.state: expected a file, got a device or a pipe"),
         (None, {"master": "hermite"}, "master: expected gauss-seidel of the saved run, got hermite"),
         (None, {"step": 0.02}, "step: expected 0.01 of the saved run, got 0.02"),
         (None, {"order": 2}, "setting order of the master: expected None of the saved run, got 2"),
         (None, {"set": {"a.k": "1 2 4"}}, "start values of a: expected "),
         (None, {"stop": 0.5}, "expected a stop time after t = 1 s of the state, got 0.5 s"),
-        (None, {"resume": "no.state"}, "no.state"),
+        (None, {"resume": "no.state"}, "no.state: no such file"),
         (None, {"accuracy": 1e-3}, "resume: expected one run with a given master and step, got accuracy"),
         (None, {"save_state": "b.state@7s"}, "expected a time of the run, from 0 s to 2 s, got 7s"),
         (None, {"save_state": "b.state@0.505"}, "expected a communication point, such as"),
@@ -151,16 +196,16 @@ def text(file):
         (None, {"resume": ""}, "resume: expected the file of a state, got an empty name"),
     ],
 )
-def test_a_state_that_does_not_fit_is_told(bank, tmp_path, change, options, message):
-    """In one line, before the first step."""
-    system = assemble({"a": bank, "b": bank}, ["a.y[1] -> b.u[2]"], {"a.u[1]": 1.0})
-    run(system, step=0.01, stop=HALF, master="gauss-seidel", save_state=tmp_path / "a.state")
+def test_a_state_that_does_not_fit_is_told(pair, state, tmp_path, monkeypatch, change, options, message):
+    """In one line, before the first step, and before a bomb is unpacked."""
+    monkeypatch.setattr(files, "MAX_UNPACKED", 3_000_000)
+    (tmp_path / "a.state").write_bytes(state)
     if change:
         change(tmp_path / "a.state")
     given = {"step": 0.01, "stop": STOP, "master": "gauss-seidel", "resume": tmp_path / "a.state", **options}
     if "accuracy" in options:
         del given["step"], given["master"]
-    told = problem(lambda: run(system, **given))
+    told = problem(lambda: run(pair, isolate=False, **given))
     assert message in told
     assert "\n" not in told
 
@@ -178,3 +223,10 @@ def test_other_fmus_are_told(bank, fmus3, tmp_path):
     plain = fmus3.make("gain", "plain", able={"canSerializeFMUState": "false"})
     told = problem(lambda: run(str(plain), step=0.1, save_state=tmp_path / "b.state"))
     assert told == "save_state: plain cannot serialise its state: expected FMUs that can"
+
+
+def test_a_state_of_zeros_is_written_so_that_it_can_be_read(bank, tmp_path, monkeypatch):
+    """Packed a hundred times, it would look like a bomb: then it is not packed."""
+    monkeypatch.setattr(saved_run, "size_fault", lambda members, _: "x" * (members[0].compress_type > 0))
+    run(str(bank), step=0.1, stop=1.0, save_state=tmp_path / "a.state", isolate=False)
+    assert run(str(bank), step=0.1, stop=2.0, resume=tmp_path / "a.state", isolate=False).time[0] == 1.0

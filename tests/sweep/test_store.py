@@ -146,7 +146,10 @@ def test_damaged_results_are_refused(done, name):
     data = bytearray(path.read_bytes())
     data[60] ^= 1  # in the first page
     path.write_bytes(data)
-    problem(lambda: run(done), rf"{name}: cannot be read [^\n]+; --fresh computes the study again$")
+    problem(
+        lambda: run(done),
+        rf"{name}: expected a Parquet file, got a damaged one [^\n]+; --fresh computes the study again$",
+    )
 
 
 @pytest.mark.parametrize("fresh", [False, True])

@@ -41,6 +41,7 @@ from fmus.export.interface import Interface, Variable, make_interface, variable_
 from fmus.export.model_description import Unknowns
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.files import MAX_TEXT, Location
 
 # what the page of the reference shows
 __all__ = ["Model", "UserModel", "check_model", "read_only", "subgroup"]
@@ -399,7 +400,7 @@ PACKAGE = __name__.partition(".")[0]
 def load(path: Path) -> Model:
     """The model in a file; the module gets a unique name, because another file may have the same name."""
     location = str(path.resolve())
-    name = f"{path.stem}_{hashlib.sha256(location.encode() + path.read_bytes()).hexdigest()[:16]}"
+    name = f"{path.stem}_{hashlib.sha256(location.encode() + Location(path).read(MAX_TEXT)).hexdigest()[:16]}"
     if name not in sys.modules:
         spec = importlib.util.spec_from_file_location(name, location)
         if spec is None or spec.loader is None:
@@ -435,13 +436,9 @@ def _native(names: Mapping[str, object]) -> str:
 
 
 def _read(path: Path) -> ast.Module:
-    if path.is_dir():
-        raise Problem(f"{path}: expected a file, found a folder")
-    if not path.is_file():
-        raise Problem(f"{path}: the file does not exist")
     try:
-        return ast.parse(path.read_text(encoding="utf-8"), path.name)
-    except (OSError, ValueError, SyntaxError) as problem:
+        return ast.parse(Location(path).text(), path.name)
+    except (ValueError, SyntaxError) as problem:
         raise in_file(problem, path) from None
 
 

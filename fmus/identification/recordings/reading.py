@@ -55,7 +55,7 @@ def read_folder(folder: Path | str) -> list[Recording]:
         got = "a file" if folder.is_file() else "no such file or folder"
         raise Problem(f"{folder}: expected a folder of recordings, got {got}")
     descriptions = sorted(folder.glob("*.toml"))
-    experiments = [path for path in descriptions if "experiment" in toml.read(path, path.read_bytes()).data]
+    experiments = [path for path in descriptions if "experiment" in toml.read_file(path).data]
     if not experiments:
         others = first_names((path.name for path in _data_files(folder)), 3)
         got = f"none, only {others}" if others else "none"

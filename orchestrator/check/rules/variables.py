@@ -229,7 +229,7 @@ def value_start(subject: Subject) -> Iterator[Finding]:
         for text in v.starts or ():
             if not _fits(v, text):
                 yield error(f"{v}: start value: expected a {v.type}, got {text!r}")
-            elif v.is_real and not math.isfinite(float(text)):
+            elif v.is_real and not math.isfinite(parse_float(text) or 0.0):
                 yield warning(f"{v}: start value: expected a finite number, got {text}")
 
 

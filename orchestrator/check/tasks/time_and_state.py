@@ -100,7 +100,8 @@ def serialize(trial: Trial) -> Iterator[Remark]:
 
 def elsewhere(trial: Trial) -> Iterator[Remark]:
     """A serialised state continues in a new process, after initialisation and right after instantiation."""
-    saved = trial.payload
+    if (saved := trial.payload) is None:  # it could not be serialised
+        return
     blocks = [bytearray(1 << n) for n in range(6, 20)]  # memory addresses shall differ from the first process
     for fresh in (False, True):
         simulation = Simulation(trial)

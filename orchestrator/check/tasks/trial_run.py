@@ -16,6 +16,8 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orchestrator.base.numerals import integer
+from orchestrator.base.processes import FLOAT64
 from orchestrator.check.tasks.runner import InstanceOptions, Trial
 from orchestrator.fmi.calls import address
 from orchestrator.fmi.clocks import ClockCalls, Schedule
@@ -170,7 +172,7 @@ class Integrator:
     def __init__(self, instance: FmuInstance, description: ModelDescription) -> None:
         self.instance, self.ended = instance, False
         self.count = len(description.structure["derivatives"])
-        self.indicators = int(description.attributes.get("numberOfEventIndicators", "0"))
+        self.indicators = integer(description.get("numberOfEventIndicators", "0"))
         if instance.fmi == 3:
             self.count = self._size("GetNumberOfContinuousStates")
             self.indicators = self._size("GetNumberOfEventIndicators")
@@ -180,6 +182,7 @@ class Integrator:
     def _size(self, function: str) -> int:
         value = ctypes.c_size_t(0)
         self.instance.call(function, ctypes.byref(value))
+        self.instance.check_size(f"a vector by {function}", FLOAT64 * value.value)
         return value.value
 
     def begin(self, time: float) -> None:
