@@ -28,7 +28,8 @@ from fmus.export.c_functions import Routine, c_function, hoist, number, split
 from fmus.export.elimination import Entry, eliminate
 from fmus.export.interface import Interface, Variable
 from orchestrator.base import compiler
-from orchestrator.base.text import rendered
+from orchestrator.base.text import rendered, sized_unit
+from orchestrator.base.units import factor_and_offset
 
 # name of a C function -> its outputs, and its inputs except states, inputs and parameters of the model
 _ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
@@ -271,6 +272,7 @@ def generated(interface: Interface, guid: str, printed: PrintedEquations | None 
         "places": printed.places,
         "initial": printed.initial.removesuffix("\n"),
         "row": partial(_row, [v.name for v in interface.inputs]),
+        "watched_row": _watched_row,
         "comment": _comment,
         "number": number,
         "string": string,
@@ -307,6 +309,9 @@ def _watched(interface: Interface) -> list[Variable]:
     return [v for v in interface.variables if v.watched]
 
 
+NO_LIMITS = (math.inf, -math.inf)  # above and below
+
+
 def _row(inputs: Sequence[str], v: Variable) -> str:
     """The description of a variable in C; limits that it does not have are infinite."""
     q = v.quantity
@@ -314,12 +319,25 @@ def _row(inputs: Sequence[str], v: Variable) -> str:
     rate = inputs.index(q.rate) if is_input and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
-    above = q.warn_above if v.watched and q.warn_above is not None else math.inf
-    below = q.warn_below if v.watched and q.warn_below is not None else -math.inf
-    literals = ", ".join(number(value) for value in (low, high, q.nominal, q.absolute_scale, above, below))
-    meaning = string(f": {q.meaning}" if q.meaning else "")
+    literals = ", ".join(number(value) for value in (low, high, q.nominal, q.absolute_scale))
     held = int(q.held and is_input)
-    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}, {held}, {meaning}}}"
+    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}, {held}}}"
+
+
+def _watched_row(v: Variable) -> str:
+    """The limits of a variable in C, and the texts of their warnings in the unit of readers."""
+    q, limits = v.quantity, {"limit": v.quantity.warn_above, "lower limit": v.quantity.warn_below}
+    unit = sized_unit(q.unit, q.warn_above or q.warn_below or q.nominal)
+    factor, offset = factor_and_offset(q.unit, unit, v.name)
+    meanings, ends = list[str](), list[str]()
+    for (name, limit), text in zip(limits.items(), (q.meaning, q.below or q.meaning), strict=True):
+        meaning, colon, end = (text or f"{v.name} is beyond its limit").partition(": ")
+        unit_text = "" if unit == "1" else f" {unit}"
+        meanings.append(string(meaning))
+        ends.append(string(f"{unit_text} ({name} {factor * (limit or 0) + offset:.4g}{unit_text}){colon}{end}"))
+    above, below = (missing if n is None else n for n, missing in zip(limits.values(), NO_LIMITS, strict=True))
+    numbers = ", ".join(number(value) for value in (above, below, factor, offset))
+    return f"{{{v.reference}, {numbers}, {{{', '.join(meanings)}}}, {{{', '.join(ends)}}}}}"
 
 
 def string(text: str) -> str:

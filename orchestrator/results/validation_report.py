@@ -308,8 +308,11 @@ def _numbers(validation: Validation) -> Table:
 
 
 def _section(row: ValidatedSignal) -> str:
-    """Group, unit and judged metric of a signal."""
-    judged = NAMES[row.tolerance.metric] if row.tolerance else "not judged"
+    """Group, unit, judged metric and limit of a signal."""
+    judged = "not judged"
+    if row.tolerance:
+        least = "limit" if row.tolerance.upper else "at least"
+        judged = f"{NAMES[row.tolerance.metric]}, {least} {judged_text(row, row.tolerance.limit)}"
     return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {judged}"
 
 
