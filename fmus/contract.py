@@ -47,8 +47,8 @@ class Quantity:
                  start value; other FMUs in a system may lack the signal
     warn_above   inputs and outputs: |value| above which the FMU logs a warning, once per excursion
     warn_below   inputs and outputs: value below which it logs a warning likewise
-    meaning      inputs and outputs: what a value beyond its limit means, in the words of the trade, as the begin
-                 of the warning; after ": " may follow what it leads to, as its end
+    meaning      inputs and outputs: what a value beyond its limit means, as the begin of the warning, such as
+                 "cavitation in the {}"; after ": " may follow what it leads to, as its end
     below        inputs and outputs: the same of a value below `warn_below`; default: meaning
     group        parameters only: heading in documentation; default: heading of the previous parameter
     held         inputs only: constant within a communication step. What depends on held inputs and parameters

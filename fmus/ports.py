@@ -12,7 +12,9 @@ from fmus.contract import Group, Member, Quantity, Scalar, Terminal
 # of a drive without the pressure of the line: its compensators hold their setting whatever is left
 NOT_SHARED = "flow is not shared with the other drives while the supply is saturated"
 # of a temperature of the oil; 0 K is an open input, or one of FMPy in its first step
-BEYOND = "oil: viscosity holds from -20 to 100 degC (0 K: 60), lags, check valves and friction do not follow it"
+BEYOND = (
+    "oil: viscosity holds from -20 to 100 degC (0 K: 60), lags, check valves and friction do not follow it"
+)
 
 
 def rate_input(name: str, unit: str, nominal: float = 1.0) -> Quantity:

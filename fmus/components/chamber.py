@@ -44,7 +44,7 @@ _SMALLEST_EXPONENT = -60.0  # 1e-26 of C_ref; keeps exp() out of the slow denorm
 
 RATED_PRESSURE = 35e6  # Pa, of mobile valves, cylinders and hoses of the class; above it an FMU warns
 ATMOSPHERE = 101325.0  # p_0 [Pa], standard; a pressure below vacuum, -p_0, does not exist
-OVERLOAD = "the pressure exceeds the rating of valves, cylinders and hoses: no relief valve limits it here"
+OVERLOAD = "the pressure exceeds the rating of valves, cylinders and hoses: only variants with relief valves limit it"
 VACUUM = "the pressure falls below vacuum: no oil does that"
 FLOOR = 20e3  # absolute pressure [Pa] down to which the polytropic law is used; 80 kPa below tank
 

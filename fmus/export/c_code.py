@@ -334,8 +334,12 @@ def _watched_row(v: Variable) -> str:
         meaning, colon, end = (text or f"{v.name} is beyond its limit").partition(": ")
         unit_text = "" if unit == "1" else f" {unit}"
         meanings.append(string(meaning))
-        ends.append(string(f"{unit_text} ({name} {factor * (limit or 0) + offset:.4g}{unit_text}){colon}{end}"))
-    above, below = (missing if n is None else n for n, missing in zip(limits.values(), NO_LIMITS, strict=True))
+        ends.append(
+            string(f"{unit_text} ({name} {factor * (limit or 0) + offset:.4g}{unit_text}){colon}{end}")
+        )
+    above, below = (
+        missing if n is None else n for n, missing in zip(limits.values(), NO_LIMITS, strict=True)
+    )
     numbers = ", ".join(number(value) for value in (above, below, factor, offset))
     return f"{{{v.reference}, {numbers}, {{{', '.join(meanings)}}}, {{{', '.join(ends)}}}}}"
 

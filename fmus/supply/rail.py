@@ -132,8 +132,8 @@ class ShaftOutputs(SupplyOutputs):
         "Kinematic viscosity of the oil in the tank",
         1e-5,
         warn_above=1e-3,
-        meaning="cold oil: pumps of the class start at up to 1.6e-3 m2/s, without load and for a short time only; lags "
-        "of valves and load sensing, check valves, filter and friction of pistons are those of warm oil",
+        meaning="cold oil: pumps of the class start at up to 1600 mm2/s, without load and for a short time; "
+        "lags of valves and load sensing, check valves, filter and friction of pistons are those of warm oil",
     )
     reservoir_volume_below_suction: Scalar = Quantity(
         "m3",

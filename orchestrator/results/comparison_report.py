@@ -290,7 +290,11 @@ def verdict(comparison: Comparison) -> str:
         return "no signal differs"
     label, worst = found
     nrmse, shown = percentage(worst.metrics.nrmse), _shown_quantities(comparison)
-    of = f" of {join_words(shown)}" if worst.group in shown and len(shown) < len(comparison.quantities()) else ""
+    of = (
+        f" of {join_words(shown)}"
+        if worst.group in shown and len(shown) < len(comparison.quantities())
+        else ""
+    )
     return f"largest NRMSE{of}: {worst.signal} of {label}, {nrmse}; at most {_difference(worst)}"
 
 
@@ -300,7 +304,7 @@ def _shown_quantities(comparison: Comparison) -> list[str]:
 
 
 def _worst_of_all(comparison: Comparison) -> tuple[str, ValidatedSignal] | None:
-    """Run and signal with the largest NRMSE, of the shown quantities if one differs; None if no signal does."""
+    """Run and signal with the largest NRMSE, of the shown quantities if one differs; None without."""
     quantities = [(label, q) for label in comparison.against for q in comparison.quantities()]
     rows = [(label, row) for label, q in quantities if (row := comparison.worst(label, q))]
     differ = [(label, row) for label, row in rows if not comparison.equal(label, row)]
