@@ -44,7 +44,7 @@ _SMALLEST_EXPONENT = -60.0  # 1e-26 of C_ref; keeps exp() out of the slow denorm
 
 RATED_PRESSURE = 35e6  # Pa, of mobile valves, cylinders and hoses of the class; above it an FMU warns
 ATMOSPHERE = 101325.0  # p_0 [Pa], standard; a pressure below vacuum, -p_0, does not exist
-OVERLOAD = "the pressure exceeds the rating of valves, cylinders and hoses: only variants with relief valves limit it"
+OVERLOAD = "the pressure exceeds the rating of valves, cylinders and hoses: relief valves would limit it"
 VACUUM = "the pressure falls below vacuum: no oil does that"
 FLOOR = 20e3  # absolute pressure [Pa] down to which the polytropic law is used; 80 kPa below tank
 
@@ -67,8 +67,9 @@ def port_pressure(text: str) -> Quantity:
 
     Below the vapour pressure the oil of its line would tear off, which the model of the node leaves out.
     """
-    limits = {"warn_above": RATED_PRESSURE, "warn_below": VAPOUR_PRESSURE}
-    return Quantity("Pa", text, 1e7, **limits, meaning=OVERLOAD, below="the oil column tears off")
+    below = "the oil column tears off"
+    limits = Quantity("Pa", text, 1e7, warn_above=RATED_PRESSURE, warn_below=VAPOUR_PRESSURE)
+    return replace(limits, meaning=OVERLOAD, below=below)
 
 
 def cavity(text: str) -> Quantity:

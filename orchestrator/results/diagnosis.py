@@ -366,7 +366,10 @@ def _examined(
     source   of the readings, for messages
     """
     (component,) = system.components.values()
-    variables, found = component.interface.variables, list[tuple[str, str, str, str]]()
+    variables, found = (
+        component.interface.variables,
+        list[tuple[tuple[str, str, str, str], tuple[str, ...]]](),
+    )
     trace, values, remarks = _checked(component, trace, source)
     for f in findings_in(system)[0]:
         name = f.signals[0].partition(".")[2]
