@@ -67,9 +67,8 @@ def port_pressure(text: str) -> Quantity:
 
     Below the vapour pressure the oil of its line would tear off, which the model of the node leaves out.
     """
-    below = "the oil column tears off"
-    limits = Quantity("Pa", text, 1e7, warn_above=RATED_PRESSURE, warn_below=VAPOUR_PRESSURE)
-    return replace(limits, meaning=OVERLOAD, below=below)
+    words = {"meaning": OVERLOAD, "below": "the oil column tears off"}
+    return replace(Quantity("Pa", text, 1e7, warn_above=RATED_PRESSURE, warn_below=VAPOUR_PRESSURE), **words)
 
 
 def cavity(text: str) -> Quantity:

@@ -309,9 +309,6 @@ def _watched(interface: Interface) -> list[Variable]:
     return [v for v in interface.variables if v.watched]
 
 
-NO_LIMITS = (math.inf, -math.inf)  # above and below
-
-
 def _row(inputs: Sequence[str], v: Variable) -> str:
     """The description of a variable in C; limits that it does not have are infinite."""
     q = v.quantity
@@ -326,20 +323,16 @@ def _row(inputs: Sequence[str], v: Variable) -> str:
 
 def _watched_row(v: Variable) -> str:
     """The limits of a variable in C, and the texts of their warnings in the unit of readers."""
-    q, limits = v.quantity, {"limit": v.quantity.warn_above, "lower limit": v.quantity.warn_below}
-    unit = sized_unit(q.unit, q.warn_above or q.warn_below or q.nominal)
-    factor, offset = factor_and_offset(q.unit, unit, v.name)
-    meanings, ends = list[str](), list[str]()
-    for (name, limit), text in zip(limits.items(), (q.meaning, q.below or q.meaning), strict=True):
+    q, meanings, ends = v.quantity, list[str](), list[str]()
+    shown = sized_unit(q.unit, q.warn_above or q.warn_below or q.nominal)
+    factor, offset = factor_and_offset(q.unit, shown, v.name)
+    above = math.inf if q.warn_above is None else q.warn_above
+    below = -math.inf if q.warn_below is None else q.warn_below
+    unit = "" if shown == "1" else f" {shown}"
+    for name, limit, text in (("limit", above, q.meaning), ("lower limit", below, q.below or q.meaning)):
         meaning, colon, end = (text or f"{v.name} is beyond its limit").partition(": ")
-        unit_text = "" if unit == "1" else f" {unit}"
         meanings.append(string(meaning))
-        ends.append(
-            string(f"{unit_text} ({name} {factor * (limit or 0) + offset:.4g}{unit_text}){colon}{end}")
-        )
-    above, below = (
-        missing if n is None else n for n, missing in zip(limits.values(), NO_LIMITS, strict=True)
-    )
+        ends.append(string(f"{unit} ({name} {factor * limit + offset:.4g}{unit}){colon}{end}"))
     numbers = ", ".join(number(value) for value in (above, below, factor, offset))
     return f"{{{v.reference}, {numbers}, {{{', '.join(meanings)}}}, {{{', '.join(ends)}}}}}"
 

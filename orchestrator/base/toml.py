@@ -97,7 +97,7 @@ def read(file: Path | Location, data: bytes) -> Table:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         got = "a binary file" if b"\0" in data else f"line {line} that is not UTF-8: save it as UTF-8"
-        got = "an archive" if data.startswith(b"PK\3\4") else got
+        got = "an archive" if data[:4] == b"PK\3\4" else got
         raise Problem(f"{file}: expected a text (TOML), got {got}") from None
     except ValueError as error:  # also of a whole number with thousands of digits
         raise Problem(f"{file}: expected TOML, got {error}{_key(text, str(error))}") from None

@@ -74,9 +74,7 @@ Samples: TypeAlias = tuple[Array | None, NDArray[Any], str]
 def logger_format(file: Location) -> str:
     """`MDF`, `TDMS`, or "" for a text; raises Problem for any other format, with the way out."""
     if kind := MODELS.get(Path(str(file)).suffix.lower()):
-        raise Problem(
-            f"{file}: expected a table of signals: it is {kind}; harvester run makes a result of it"
-        )
+        raise Problem(f"{file}: expected a table, it is {kind}; harvester run makes a result of it")
     with file.opened() as opened:
         head = opened.read(HEAD)
     for begin, (name, advice) in OTHERS.items():

@@ -143,13 +143,13 @@ def with_variable_names(text: str, names: Mapping[str, str]) -> str:
 
 def _merged(group: list[LogMessage], recorded: TraceSink | None) -> str:
     """One line for messages that differ only in numbers, with the text of the first one."""
-    first, added = group[0], [_largest(group[0], recorded)]
-    text = str(first) if len(group) == 1 else f"{first.component}: {first.text}"
-    if len(group) > 1:
-        varying = len({_TIME.sub("", m.text) for m in group}) > 1
-        count, time = str(len(group)) + " or more" * group[-1].text.endswith(_LAST), f"t = {first.time:.6g} s"
-        since = "" if _TIME.search(text) else f", at {time}"
-        added.append(f"the first of {count}{since}" if varying else f"{count} times, first at {time}")
+    first, added, count = group[0], [_largest(group[0], recorded)], len(group)
+    varying = len({_TIME.sub("", m.text) for m in group}) > 1
+    text = str(first) if varying or count == 1 else f"{first.component}: {first.text}"
+    if varying:
+        added.append(f"the first of {count}{' or more' * group[-1].text.endswith(_LAST)}")
+    elif count > 1:
+        added.append(f"{count} times, first at t = {first.time:.6g} s")
     more = [*filter(None, added)]
     if more and (limit := _LIMIT.search(text)):
         return f"{text[: limit.end()]}, {', '.join(more)}{text[limit.end() :]}"

@@ -290,11 +290,8 @@ def verdict(comparison: Comparison) -> str:
         return "no signal differs"
     label, worst = found
     nrmse, shown = percentage(worst.metrics.nrmse), _shown_quantities(comparison)
-    of = (
-        f" of {join_words(shown)}"
-        if worst.group in shown and len(shown) < len(comparison.quantities())
-        else ""
-    )
+    part = worst.group in shown and len(shown) < len(comparison.quantities())
+    of = f" of {join_words(shown)}" if part else ""
     return f"largest NRMSE{of}: {worst.signal} of {label}, {nrmse}; at most {_difference(worst)}"
 
 

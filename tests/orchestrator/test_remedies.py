@@ -106,7 +106,7 @@ def test_what_is_no_text_is_named(tmp_path, data, got):
 def test_a_model_in_place_of_samples_is_to_be_run(tmp_path, name, kind):
     """It has no signals; to unpack it would not help."""
     (tmp_path / name).write_bytes(b"PK\3\4")
-    told = rf"expected a table of signals: it is {kind}; harvester run makes a result of it$"
+    told = rf"expected a table, it is {kind}; harvester run makes a result of it$"
     problem(lambda: read_trace(tmp_path / name), told)
 
 
