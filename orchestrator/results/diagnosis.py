@@ -245,8 +245,8 @@ class Diagnosis:
         sound = Section("No fault", [Text([", ".join(self.sound)] if self.sound else [])])
         parts: list[Part] = [
             Text(self.remarks, "soft"),
-            Text([f"{f.text}: {TOGETHER}" for f in self.broken if f.may_be_healthy], "soft"),
             *([Table(self.table())] if self.broken else []),
+            Text([f"{f.text}: {TOGETHER}" for f in self.broken if f.may_be_healthy], "soft"),
             Text([*told, *at_end] if self.broken else [*at_end, *told], only=TERMINAL),
             Text([MARKED] if machine else (), "soft", only=PAGE),
             Machine(machine),
