@@ -67,8 +67,8 @@ def port_pressure(text: str) -> Quantity:
 
     Below the vapour pressure the oil of its line would tear off, which the model of the node leaves out.
     """
-    words = {"meaning": OVERLOAD, "below": "the oil column tears off"}
-    return replace(Quantity("Pa", text, 1e7, warn_above=RATED_PRESSURE, warn_below=VAPOUR_PRESSURE), **words)
+    known = Quantity("Pa", text, 1e7, warn_above=RATED_PRESSURE, warn_below=VAPOUR_PRESSURE)
+    return replace(known, meaning=OVERLOAD, below="the oil column tears off")
 
 
 def cavity(text: str) -> Quantity:
