@@ -47,7 +47,9 @@ class Quantity:
                  start value; other FMUs in a system may lack the signal
     warn_above   inputs and outputs: |value| above which the FMU logs a warning, once per excursion
     warn_below   inputs and outputs: value below which it logs a warning likewise
-    meaning      inputs and outputs: what a value beyond its limit means, as the end of the warning
+    meaning      inputs and outputs: what a value beyond its limit means, as the begin of the warning, such as
+                 "cavitation in the {}"; after ": " may follow what it leads to, as its end
+    below        inputs and outputs: the same of a value below `warn_below`; default: meaning
     group        parameters only: heading in documentation; default: heading of the previous parameter
     held         inputs only: constant within a communication step. What depends on held inputs and parameters
                  alone is computed when one of them changes
@@ -74,12 +76,13 @@ class Quantity:
     listed: str = ""
     optional: str = ""
     meaning: str = ""
+    below: str = ""
     held: bool = False
     noisy: bool = False
     warmed: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("unit", "text", "group", "listed", "optional", "meaning"):
+        for name in ("unit", "text", "group", "listed", "optional", "meaning", "below"):
             if not isinstance(getattr(self, name), str):
                 raise Problem(f"Quantity: {name}: expected text, found {getattr(self, name)!r}")
         for name in ("nominal", "minimum", "maximum", "warn_above", "warn_below", "absolute", "value"):
@@ -111,6 +114,7 @@ class Quantity:
             listed=self.listed.replace("{}", owner),
             optional=self.optional.replace("{}", owner),
             meaning=self.meaning.replace("{}", owner),
+            below=self.below.replace("{}", owner),
             group=heading[:1].upper() + heading[1:],
             rate=self.rate and named(self.rate),
         )

@@ -12,7 +12,9 @@ from fmus.contract import Group, Member, Quantity, Scalar, Terminal
 # of a drive without the pressure of the line: its compensators hold their setting whatever is left
 NOT_SHARED = "flow is not shared with the other drives while the supply is saturated"
 # of a temperature of the oil; 0 K is an open input, or one of FMPy in its first step
-BEYOND = "viscosity holds from -20 to 100 degC (0 K: 60), lags, check valves and friction do not follow it"
+BEYOND = (
+    "oil: viscosity holds from -20 to 100 degC (0 K: 60), lags, check valves and friction do not follow it"
+)
 
 
 def rate_input(name: str, unit: str, nominal: float = 1.0) -> Quantity:
@@ -28,12 +30,13 @@ def rate_output(name: str, unit: str, nominal: float = 1.0) -> Quantity:
 def command(valve: str, meaning: str, rate: str) -> Quantity:
     """Declaration of the command to a valve as an input; rate: name of its rate input."""
     text = f"Command to the {valve} valve, positive {meaning}"
-    return Quantity("V", text, 10.0, rate=rate, warn_above=10.0)
+    beyond = f"more than the full command of the {valve} valve"
+    return Quantity("V", text, 10.0, rate=rate, warn_above=10.0, meaning=beyond)
 
 
 def oil_temperature(text: str, held: bool = False, optional: str = "") -> Quantity:
     """Declaration of the temperature of the oil; without bounds, because of 0 K; its source warns of cold."""
-    known = Quantity("K", text, 300.0, warn_above=373.15, meaning=BEYOND)
+    known = Quantity("K", text, 300.0, warn_above=373.15, meaning=f"hot {BEYOND}", below=f"cold {BEYOND}")
     return replace(known, held=held, optional=optional)
 
 

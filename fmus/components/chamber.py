@@ -28,6 +28,8 @@ finite for a trial pressure below vacuum; the cavity dominates there.
 The energy of a volume V at P is V e(P), e(P) = int_0^P P' kappa(P') dP'.
 """
 
+from dataclasses import replace
+
 import casadi as ca
 
 from fmus.components import oil
@@ -42,6 +44,8 @@ _SMALLEST_EXPONENT = -60.0  # 1e-26 of C_ref; keeps exp() out of the slow denorm
 
 RATED_PRESSURE = 35e6  # Pa, of mobile valves, cylinders and hoses of the class; above it an FMU warns
 ATMOSPHERE = 101325.0  # p_0 [Pa], standard; a pressure below vacuum, -p_0, does not exist
+OVERLOAD = "the pressure exceeds the rating of valves, cylinders and hoses: relief valves would limit it"
+VACUUM = "the pressure falls below vacuum: no oil does that"
 FLOOR = 20e3  # absolute pressure [Pa] down to which the polytropic law is used; 80 kPa below tank
 
 
@@ -55,7 +59,7 @@ def pressure(text: str) -> Quantity:
     Only variants with relief valves limit it; if it is also an output, the FMU warns above RATED_PRESSURE.
     Cavitation is reported by its volume (`cavity`).
     """
-    return Quantity("Pa", text, 1e7, absolute=1e5, warn_above=RATED_PRESSURE, warn_below=-ATMOSPHERE)
+    return replace(port_pressure(text), absolute=1e5, warn_below=-ATMOSPHERE, below=VACUUM)
 
 
 def port_pressure(text: str) -> Quantity:
@@ -63,13 +67,18 @@ def port_pressure(text: str) -> Quantity:
 
     Below the vapour pressure the oil of its line would tear off, which the model of the node leaves out.
     """
-    return Quantity("Pa", text, 1e7, warn_above=RATED_PRESSURE, warn_below=VAPOUR_PRESSURE)
+    known = Quantity("Pa", text, 1e7, warn_above=RATED_PRESSURE, warn_below=VAPOUR_PRESSURE)
+    return replace(known, meaning=OVERLOAD, below="the oil column tears off")
 
 
 def cavity(text: str) -> Quantity:
     """Declaration of the volume of cavities as an output, with a warning if the oil cavitates."""
     return Quantity(
-        "m3", f"Volume of cavities in {text}: above 1e-7 the oil cavitates", 1e-6, warn_above=1e-7
+        "m3",
+        f"Volume of cavities in {text}: above 1e-7 the oil cavitates",
+        1e-6,
+        warn_above=1e-7,
+        meaning=f"cavitation in {text}",
     )
 
 

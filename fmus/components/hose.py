@@ -127,7 +127,7 @@ OIL_VELOCITY = 6.0  # m/s: by the usual rule for the size of hoses under pressur
 
 def oil_velocity(text: str) -> Quantity:
     """Declaration of the velocity of the oil in hoses."""
-    meaning = "hoses of the next size waste less pressure and heat"
+    meaning = "the oil is fast in the hoses: hoses of the next size waste less pressure and heat"
     return Quantity("m/s", text, 1.0, warn_above=OIL_VELOCITY, meaning=meaning)
 
 

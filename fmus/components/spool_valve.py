@@ -94,7 +94,8 @@ class CurvedValve(OpeningCurves, Valve):
 
 def position(text: str) -> Quantity:
     """Declaration of the position of a spool as an output: beyond its stroke there is no spool."""
-    return Quantity("1", f"{text}, relative to its stroke", warn_above=1.0001)  # 1: tolerance of a solver
+    text, meaning = f"{text}, relative to its stroke", "the spool of the {} valve leaves its stroke"
+    return Quantity("1", text, warn_above=1.0001, meaning=meaning)  # 1: tolerance of a solver
 
 
 def _overlap(edge: str) -> Quantity:

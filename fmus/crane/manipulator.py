@@ -370,6 +370,7 @@ def manipulator(crane: CraneDescription) -> Subsystem:
             f"Effort of the end stops of the {j.name} joint: zero except at the ends of its range",
             1e4,
             warn_above=1.0,
+            meaning=f"{j.name} reaches the end of its range",
         )
         for j in free
         if "stop_at" in j.numbers

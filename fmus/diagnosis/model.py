@@ -224,7 +224,8 @@ def _outputs(all_unknowns: Mapping[str, Unknown]) -> dict[str, Quantity]:
     for n, k in all_unknowns.items():
         found[n] = Quantity(k.unit, k.text, k.nominal)
         found[f"{n}_deviation"] = Quantity(k.unit, f"Standard deviation of {n}", k.nominal)
-        found[f"{n}_state"] = Quantity("1", f"{n}: 1 a fault ({k.repair}), 0 none, -1 cannot be told")
+        words = f"; {k.words}" if k.words else ""
+        found[f"{n}_state"] = Quantity("1", f"{n}: 1 a fault ({k.repair}), 0 none, -1 cannot be told{words}")
     return found
 
 

@@ -37,12 +37,13 @@ class Unknown:
     prior: float = 0.0
     healthy: float | None = None
     of: str = ""
+    words: str = ""
 
     def named(self, name: str, prior: float = 0.0, healthy: float | None = None) -> Unknown:
         """Of an axis, a reading, a mass."""
-        text, repair = self.text.format(name), self.repair.format(name)
+        text, repair, words = (t.replace("{}", name) for t in (self.text, self.repair, self.words))
         known = self.healthy if healthy is None else healthy
-        return replace(self, text=text, repair=repair, prior=prior or self.prior, healthy=known)
+        return replace(self, text=text, repair=repair, words=words, prior=prior or self.prior, healthy=known)
 
 
 TABLE = {k: {n: Unknown(**row) for n, row in rows.items()} for k, rows in _read("unknowns.toml").items()}

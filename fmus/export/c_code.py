@@ -28,7 +28,8 @@ from fmus.export.c_functions import Routine, c_function, hoist, number, split
 from fmus.export.elimination import Entry, eliminate
 from fmus.export.interface import Interface, Variable
 from orchestrator.base import compiler
-from orchestrator.base.text import rendered
+from orchestrator.base.text import rendered, sized_unit
+from orchestrator.base.units import factor_and_offset
 
 # name of a C function -> its outputs, and its inputs except states, inputs and parameters of the model
 _ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
@@ -271,6 +272,7 @@ def generated(interface: Interface, guid: str, printed: PrintedEquations | None 
         "places": printed.places,
         "initial": printed.initial.removesuffix("\n"),
         "row": partial(_row, [v.name for v in interface.inputs]),
+        "watched_row": _watched_row,
         "comment": _comment,
         "number": number,
         "string": string,
@@ -314,12 +316,25 @@ def _row(inputs: Sequence[str], v: Variable) -> str:
     rate = inputs.index(q.rate) if is_input and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
-    above = q.warn_above if v.watched and q.warn_above is not None else math.inf
-    below = q.warn_below if v.watched and q.warn_below is not None else -math.inf
-    literals = ", ".join(number(value) for value in (low, high, q.nominal, q.absolute_scale, above, below))
-    meaning = string(f": {q.meaning}" if q.meaning else "")
+    literals = ", ".join(number(value) for value in (low, high, q.nominal, q.absolute_scale))
     held = int(q.held and is_input)
-    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}, {held}, {meaning}}}"
+    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}, {held}}}"
+
+
+def _watched_row(v: Variable) -> str:
+    """The limits of a variable in C, and the texts of their warnings in the unit of readers."""
+    q, meanings, ends = v.quantity, list[str](), list[str]()
+    shown = sized_unit(q.unit, q.warn_above or q.warn_below or q.nominal)
+    factor, offset = factor_and_offset(q.unit, shown, v.name)
+    above = math.inf if q.warn_above is None else q.warn_above
+    below = -math.inf if q.warn_below is None else q.warn_below
+    unit = "" if shown == "1" else f" {shown}"
+    for name, limit, text in (("limit", above, q.meaning), ("lower limit", below, q.below or q.meaning)):
+        meaning, colon, end = (text or f"{v.name} is beyond its limit").partition(": ")
+        meanings.append(string(meaning))
+        ends.append(string(f"{unit} ({name} {factor * limit + offset:.4g}{unit}){colon}{end}"))
+    numbers = ", ".join(number(value) for value in (above, below, factor, offset))
+    return f"{{{v.reference}, {numbers}, {{{', '.join(meanings)}}}, {{{', '.join(ends)}}}}}"
 
 
 def string(text: str) -> str:

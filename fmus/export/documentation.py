@@ -230,9 +230,10 @@ def _remarks(v: Variable) -> Iterable[str]:
         yield f"changes at the rate {q.rate} inside a step"
     if q.optional:
         yield f"without it {q.optional}"
-    for where, limit in (("above", q.warn_above), ("below", q.warn_below)):
+    below = ("below", q.warn_below, q.below or q.meaning)
+    for where, limit, meaning in (("above", q.warn_above, q.meaning), below):
         if limit is not None:
-            yield f"warning {where} {printed(limit)} {pretty(q.unit)}{': ' * bool(q.meaning)}{q.meaning}"
+            yield f"warning {where} {printed(limit)} {pretty(q.unit)}{': ' * bool(meaning)}{meaning}"
 
 
 def _bounds(low: float | None, high: float | None) -> str:

@@ -116,7 +116,7 @@ def variable_groups(
     def state(name: str, q: Quantity) -> Variable:
         output = outputs.get(name)
         if output is not None and output.watched:
-            limits = {name: getattr(output, name) for name in ("warn_above", "warn_below", "meaning")}
+            limits = {n: getattr(output, n) for n in ("warn_above", "warn_below", "meaning", "below")}
             q = replace(q, **limits)
         if name in calculated:
             return Variable(name, "CALCULATED_STATE", q, None, output=output is not None)

@@ -173,6 +173,7 @@ class CylinderOutputs(Group):
         "Force of the {} cylinder's end stops: zero except at the ends of the stroke",
         1e5,
         warn_above=1.0,
+        meaning="{} reaches the end of its stroke",
     )
 
 
@@ -189,13 +190,18 @@ class ManipulatorOutputs(ManipulatorState, boom=CylinderOutputs, stick=CylinderO
     tip_radial_velocity: Scalar = Quantity("m/s", "Velocity of the tip away from the swing axis")
     tip_vertical_velocity: Scalar = Quantity("m/s", "Velocity of the tip upwards")
     tip_depth: Scalar = Quantity(
-        "m", "Depth of the tip below the ground, else zero: nothing stops it there", 0.1, warn_above=0.01
+        "m",
+        "Depth of the tip below the ground, else zero: nothing stops it there",
+        0.1,
+        warn_above=0.01,
+        meaning="the tip is in the ground: nothing stops it there",
     )
     swing_stop_torque: Scalar = Quantity(
         "N.m",
         "Torque of the end stops of the column: zero except at the ends of its range",
         1e4,
         warn_above=1.0,
+        meaning="swing reaches the end of its range",
     )
     stop_energy: Scalar = Quantity("J", "Elastic energy in the end stops of cylinders and column", 1e3)
     kinetic_energy: Scalar = Quantity("J", "Kinetic energy", 1e3)

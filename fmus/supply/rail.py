@@ -132,8 +132,8 @@ class ShaftOutputs(SupplyOutputs):
         "Kinematic viscosity of the oil in the tank",
         1e-5,
         warn_above=1e-3,
-        meaning="pumps of the class start at up to 1.6e-3 m2/s, without load and for a short time only; lags "
-        "of valves and load sensing, check valves, filter and friction of pistons are those of warm oil",
+        meaning="cold oil: pumps of the class start at up to 1600 mm2/s, without load and for a short time; "
+        "lags of valves and load sensing, check valves, filter and friction of pistons are those of warm oil",
     )
     reservoir_volume_below_suction: Scalar = Quantity(
         "m3",
@@ -143,7 +143,11 @@ class ShaftOutputs(SupplyOutputs):
         meaning="the pumps draw air and lose their flow",
     )
     engine_speed_below_idle: Scalar = Quantity(
-        "rad/s", "Speed that the engine lacks to its idle speed, else zero", 100.0, warn_above=0.0
+        "rad/s",
+        "Speed that the engine lacks to its idle speed, else zero",
+        100.0,
+        warn_above=0.0,
+        meaning="the engine is overloaded: it falls below its idle speed",
     )
     engine_speed_below_stall: Scalar = Quantity(
         "rad/s",

@@ -113,5 +113,10 @@ def suggest(name: str, names: Iterable[str]) -> str:
     if len(name) > MAX_COMPARABLE:
         return ""
     same_variable = [n for n in names if n.rpartition(".")[2] == name.rpartition(".")[2]]
-    similar = dict.fromkeys([*same_variable, *difflib.get_close_matches(name, names, n=3, cutoff=0.5)])
+    texts: dict[str, list[str]] = {}  # a name without component is compared with such names, too
+    for n in names:
+        for text in {n, n if "." in name else n.rpartition(".")[2]}:
+            texts.setdefault(text, []).append(n)
+    close = [n for text in difflib.get_close_matches(name, texts, n=3, cutoff=0.5) for n in texts[text]]
+    similar = dict.fromkeys([*same_variable, *close])
     return f"; did you mean {', '.join(list(similar)[:3])}?" if similar else ""

@@ -148,6 +148,25 @@ def display_unit(unit: str, largest: float = math.inf) -> DisplayUnit:
     return error_display_unit(unit) if abs(largest) < SMALL_LENGTH else DisplayUnit(unit, reader_unit(unit))
 
 
+FINE = {"N": "N", "N.m": "N.m", "W": "W", "J": "J", "m": "mm", "m3": "mL", "m2/s": "mm2/s", "K": "degC"}
+COARSE = {"N": "kN", "N.m": "kN.m", "W": "kW", "J": "kJ", "mm": "m", "mL": "L", "deg/s": "rpm"}
+MANY = 10.0  # of the coarse unit: from there on it is used
+
+
+def sized_unit(unit: str, size: float) -> str:
+    """The unit in which a reader sees a value of this size in `unit`: 132 N, but 825 kN."""
+    fine = FINE.get(unit) or reader_unit(unit)
+    coarse = COARSE.get(fine, fine)
+    return coarse if abs(size) * factor_and_offset(unit, coarse, unit)[0] >= MANY else fine
+
+
+def sized(value: float, unit: str) -> str:
+    """A value in `unit` with the unit of readers for its size, for a terminal: `825 kN`."""
+    shown = sized_unit(unit, value)
+    factor, offset = factor_and_offset(unit, shown, unit)
+    return f"{number(factor * value + offset)} {shown}".removesuffix(" 1").rstrip()
+
+
 def error_display_unit(unit: str) -> DisplayUnit:
     """Display unit of the errors of a quantity, such as mm for m and bar for Pa."""
     return DisplayUnit(unit, ERROR_UNITS.get(unit) or reader_unit(unit))

@@ -94,7 +94,12 @@ def read(file: Path | Location, data: bytes) -> Table:
         if _LONG_KEY.search(text):
             raise RecursionError
         return Table(str(file), tomllib.loads(text))
-    except ValueError as error:  # also of UTF-8, and of a whole number with thousands of digits
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        got = "a binary file" if b"\0" in data else f"line {line} that is not UTF-8: save it as UTF-8"
+        got = "an archive" if data[:4] == b"PK\3\4" else got
+        raise Problem(f"{file}: expected a text (TOML), got {got}") from None
+    except ValueError as error:  # also of a whole number with thousands of digits
         raise Problem(f"{file}: expected TOML, got {error}{_key(text, str(error))}") from None
     except RecursionError:
         raise Problem(f"{file}: expected TOML, got lists or tables that are nested too deeply") from None

@@ -255,9 +255,10 @@ def doubt(name: str, value: float, unit: str, usual: Iterable[float]) -> str:
     turns = unit == "rad" and size > 2 * pi >= 2 * high
     if ratio < FAR and not meant and not turns:
         return ""
-    unit = "" if unit in ("1", "-") else f" {unit}"
+    expected = (high if size > high else low) * factor_and_offset(unit, meant or unit, name)[0]
+    unit, usually = ("" if u in ("1", "-") else f" {u}" for u in (unit, meant or unit))
     hint = f"did you mean {value:.6g} {meant}?" if meant else "is the unit right?"
-    return f"{name} = {value:.6g}{unit}, usually about {high if size > high else low:.3g}{unit}; {hint}"
+    return f"{name} = {value:.6g}{unit}, usually about {expected:.3g}{usually}; {hint}"
 
 
 def doubts(peaks: Iterable[tuple[str, float, str, Sequence[float]]]) -> Iterator[str]:

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from io import BytesIO
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -67,12 +68,16 @@ OTHERS = {  # beginning of a file -> its format, and the way out
 }
 
 
+MODELS = {".ssp": "a system", ".ssd": "a system", ".fmu": "an FMU"}  # which have no samples
+
 # times [s] (None: unknown), samples and unit of a channel
 Samples: TypeAlias = tuple[Array | None, NDArray[Any], str]
 
 
 def logger_format(file: Location) -> str:
     """`MDF`, `TDMS`, or "" for a text; raises Problem for any other format, with the way out."""
+    if kind := MODELS.get(Path(str(file)).suffix.lower()):
+        raise Problem(f"{file}: expected a table, it is {kind}; harvester run makes a result of it")
     with file.opened() as opened:
         head = opened.read(HEAD)
     for begin, (name, advice) in OTHERS.items():

@@ -2,8 +2,9 @@
 
 A finding is three outputs: NAME, its size; NAME_deviation, the standard deviation of it, 0 without one; and
 NAME_state, 1 for a fault, 0 for none, -1 if that cannot be told. The description of NAME_state contains
-"1 a fault (REPAIR)", that of NAME its text. In the same FMU, an output with a deviation but without a state
-is an estimate, such as a payload. An input `reset` forgets faults.
+"1 a fault (REPAIR)", and after a semicolon may follow the fault in a sentence, or two for a smaller | larger
+size than that of the healthy machine; that of NAME is its text. In the same FMU, an output with a deviation
+but without a state is an estimate, such as a payload. An input `reset` forgets faults.
 """
 
 import re
@@ -29,6 +30,7 @@ class Finding:
     signals   `component.variable` of size, deviation and state
     unit      displayed unit, typeset
     scale     factor and offset to that unit, and the deviation above which an estimate is not known
+    words     the fault in a sentence, of a size below that of the healthy machine and above; default: text
     """
 
     signals: tuple[str, ...]
@@ -36,6 +38,7 @@ class Finding:
     repair: str
     unit: str
     scale: tuple[float, float, float] = (1.0, 0.0, inf)
+    words: tuple[str, ...] = ()
 
 
 def findings(system: System) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
@@ -64,7 +67,8 @@ def _finding(component: str, size: FmuVariable, outputs: dict[str, FmuVariable])
     most = UNKNOWN * size.nominal if size.nominal and not repair else inf
     scale = (*factor_and_offset(unit, shown, names[0]), most)
     words = (text[:1].upper() + text[1:], repair.replace("_", " "), pretty(shown).replace("deg", "°"))
-    return Finding(names, *words, scale)
+    told = state.description.partition("; ")[2] if state else ""
+    return Finding(names, *words, scale, tuple(told.split(" | ")) if told else ())
 
 
 class FindingTable:

@@ -255,6 +255,11 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
                 raise Problem(f"{label}: column {name!r} drives {port}, which another column drives too")
             unit = system.inputs[name].unit if name in system.inputs else system.unit(port)
             given = trace.units.get(name)
+            if given == "1" and unit and unit.name not in ("", "1"):
+                full = (system.variable(port).nominal or 1.0) / 100
+                entry = f'unit = "{unit.name}", factor = {full:g} in {Path(label).with_suffix(".toml")}'
+                share = f"of a command say how many {unit.name} are 100 %, such as {entry}"
+                raise Problem(f"{label}: column {name!r}: unit '%' or '1': {share}")
             if unit and given and given != unit.name:
                 linear = from_user_unit(given, unit, f"{label}: column {name!r}").then(linear)
             columns[port] = (k, linear)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from orchestrator.base.errors import one_line
+from orchestrator.base.text import sized
 
 if TYPE_CHECKING:
     from orchestrator.data.trace_writer import TraceSink
@@ -19,7 +20,9 @@ WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
 LOCAL = {"local": True}  # of a field that is not sent to another process, see `worker.wire`
 MAX_QUOTED = 300  # characters of a log message at the end of an error message
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_NAME = re.compile(r"([\w.\[\]]+) = ")  # start of a message that begins with a variable and its value
+_NAME = re.compile(r"(?:^|: )([\w.\[\]]+) = ")  # a variable and its value
+# after the value in a warning of an FMU of this project, and at the end of its last one of a variable
+_LIMIT, _LAST = re.compile(r" \((lower )?limit [^)]*\)"), "; no further warning of it follows"
 _TIME = re.compile(rf"\bt = {_NUMBER.pattern}")
 
 
@@ -128,7 +131,7 @@ class Log:
         groups: dict[str, list[LogMessage]] = {}
         for m in self.messages:
             if m.status != "ok":
-                groups.setdefault(_NUMBER.sub("#", m.text), []).append(m)
+                groups.setdefault(_NUMBER.sub("#", m.text.removesuffix(_LAST)), []).append(m)
         lines = [_merged(group, recorded) for group in groups.values()]
         return [*lines, f"{self.component}: {self.dropped} more messages"] if self.dropped else lines
 
@@ -140,21 +143,26 @@ def with_variable_names(text: str, names: Mapping[str, str]) -> str:
 
 def _merged(group: list[LogMessage], recorded: TraceSink | None) -> str:
     """One line for messages that differ only in numbers, with the text of the first one."""
-    first, largest = group[0], _largest(group[0], recorded)
-    if len(group) == 1:
-        return f"{first}{f' ({largest})' if largest else ''}"
+    first, added, count = group[0], [_largest(group[0], recorded)], len(group)
     varying = len({_TIME.sub("", m.text) for m in group}) > 1
-    time = f"t = {first.time:.6g} s"
-    count = f"the first of {len(group)}, at {time}" if varying else f"{len(group)} times, first at {time}"
-    return f"{first.component}: {first.text} ({'; '.join(filter(None, (count, largest)))})"
+    text = str(first) if varying or count == 1 else f"{first.component}: {first.text}"
+    if varying:
+        added.append(f"the first of {count}{' or more' * group[-1].text.endswith(_LAST)}")
+    elif count > 1:
+        added.append(f"{count} times, first at t = {first.time:.6g} s")
+    more = [*filter(None, added)]
+    if more and (limit := _LIMIT.search(text)):
+        return f"{text[: limit.end()]}, {', '.join(more)}{text[limit.end() :]}"
+    return f"{text} ({'; '.join(more)})" if more else text
 
 
 def _largest(message: LogMessage, recorded: TraceSink | None) -> str:
     """The largest recorded magnitude of the variable in a message; empty if it was not recorded."""
-    match = _NAME.match(message.text)
+    match = _NAME.search(message.text)
     name = f"{message.component}.{match[1]}" if match else ""
     largest = recorded.largest(name) if recorded is not None else None
-    if recorded is None or largest is None or (" is below " in message.text and largest[0] > 0):
+    is_low = re.search(r" is below | \(lower limit ", message.text)
+    if recorded is None or largest is None or (is_low and largest[0] > 0):
         return ""  # the largest magnitude is not the lowest value
-    value = f"{largest[0]:.6g} {recorded.layout.units.get(name, '')}".rstrip()
-    return f"largest recorded: {value} at t = {largest[1]:.6g} s"
+    size = sized(largest[0] if is_low else abs(largest[0]), recorded.layout.units.get(name, ""))
+    return f"{'down to' if is_low else 'at most'} {size} at t = {largest[1]:.6g} s"

@@ -47,8 +47,8 @@ def breakable(name: str) -> Markup:
 
 
 def upper_first(text: str) -> str:
-    """The text with a capital."""
-    return f"{text[:1].upper()}{text[1:]}"
+    """The text with a capital, unless it begins with the name of a file or a signal."""
+    return text if "." in text.partition(" ")[0] else f"{text[:1].upper()}{text[1:]}"
 
 
 def sentence(text: str) -> Markup:

@@ -104,6 +104,8 @@ DEFAULT_QUANTITIES = ("speed", "pressure", "angle")  # shown if the user names n
 OTHER_START, OTHER_TIME = 0.01, 0.01  # [rad] or [m] between two poses at the start; of the duration
 # below AT_REST times the widest range of its quantity, a signal is at rest, too, and has no NRMSE
 CONSTANT = "constant reference"
+# of the widest range of its quantity: what moves less in one of the runs comes last, whatever its NRMSE is
+LITTLE = 0.05
 ROUNDING = 1e-9  # part of the largest value of a quantity: signals that differ by less are equal
 
 
@@ -172,14 +174,24 @@ class Comparison:
     def worst(self, label: str, quantity: str) -> ValidatedSignal | None:
         """The signal of a quantity with the largest NRMSE; None if all are at rest in both runs.
 
-        If the reference is at rest, NRMSE is over the range of both runs, and CONSTANT is a note.
+        What moves in both runs and differs comes first. If the reference is at rest, NRMSE is over the range
+        of both runs, and CONSTANT is a note.
         Raises Problem for an unknown run or quantity.
         """
         rows = self._rows(label, quantity)
-        ranges = [span(values) for row in rows for values in (row.reference, row.simulation)]
-        least = max(AT_REST * max(ranges, default=0.0), FLOOR)
+        least = max(AT_REST * self._scales[label, quantity][1], FLOOR)
         moving = [moved for row in rows if (moved := _moving(row, least))]
-        return max(moving, key=lambda r: r.metrics.nrmse or 0.0, default=None)
+        return max(moving, key=lambda row: self.rank(label, row), default=None)
+
+    def rank(self, label: str, row: ValidatedSignal) -> tuple[bool, float]:
+        """Whether a signal moves in both runs and differs, then its NRMSE."""
+        size = self._factor(label, row) * min(span(row.reference), span(row.simulation))
+        moves = size > LITTLE * self._scales[label, row.group][1]
+        return moves and not self.equal(label, row), row.metrics.nrmse or 0.0
+
+    def _factor(self, label: str, row: ValidatedSignal) -> float:
+        """To the unit of the first signal of its quantity."""
+        return factor_and_offset(row.unit, self._rows(label, row.group)[0].unit, row.signal)[0]
 
     def _rows(self, label: str, quantity: str) -> list[ValidatedSignal]:
         """The signals of a quantity in the comparison with a run."""
@@ -196,13 +208,16 @@ class Comparison:
 
     def equal(self, label: str, row: ValidatedSignal) -> bool:
         """Is the difference of a signal rounding, next to the largest value of its quantity?"""
-        return bool(row.metrics.maximum_error <= max(ROUNDING * self._sizes[label, row.group], FLOOR))
+        return bool(row.metrics.maximum_error <= max(ROUNDING * self._scales[label, row.group][0], FLOOR))
 
     @cached_property
-    def _sizes(self) -> dict[tuple[str, str], float]:
-        """The largest value by run and quantity."""
+    def _scales(self) -> dict[tuple[str, str], tuple[float, float]]:
+        """The largest value and the widest range by run and quantity."""
         return {
-            (label, group): max(max(np.abs(r.reference).max(), r.metrics.normalised_by) for r in rows)
+            (label, group): (
+                max(max(np.abs(r.reference).max(), r.metrics.normalised_by) for r in rows),
+                max(self._factor(label, r) * max(span(r.reference), span(r.simulation)) for r in rows),
+            )
             for label, validation in self.against.items()
             for group, rows in validation.groups.items()
         }
@@ -210,8 +225,7 @@ class Comparison:
     def largest(self, label: str, quantity: str) -> ValidatedSignal:
         """The signal of a quantity with the largest difference, including signals at rest."""
         rows = self._rows(label, quantity)
-        unit = rows[0].unit
-        return max(rows, key=lambda r: r.metrics.maximum_error * factor_and_offset(r.unit, unit, r.signal)[0])
+        return max(rows, key=lambda r: r.metrics.maximum_error * self._factor(label, r))
 
 
 def compare(

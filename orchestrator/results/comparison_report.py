@@ -285,20 +285,28 @@ def report(comparison: Comparison) -> Report:
 
 
 def verdict(comparison: Comparison) -> str:
-    """The signal with the largest NRMSE of all runs."""
+    """The signal with the largest NRMSE of all runs, of the quantities that are shown."""
     if (found := _worst_of_all(comparison)) is None:
         return "no signal differs"
     label, worst = found
-    nrmse = percentage(worst.metrics.nrmse)
-    return f"largest NRMSE: {worst.signal} of {label}, {nrmse}; at most {_difference(worst)}"
+    nrmse, shown = percentage(worst.metrics.nrmse), _shown_quantities(comparison)
+    part = worst.group in shown and len(shown) < len(comparison.quantities())
+    of = f" of {join_words(shown)}" if part else ""
+    return f"largest NRMSE{of}: {worst.signal} of {label}, {nrmse}; at most {_difference(worst)}"
+
+
+def _shown_quantities(comparison: Comparison) -> list[str]:
+    chosen = set(comparison.signals)
+    return [group for group, signals in comparison.quantities().items() if chosen.intersection(signals)]
 
 
 def _worst_of_all(comparison: Comparison) -> tuple[str, ValidatedSignal] | None:
-    """Run and signal with the largest NRMSE; None if no signal differs."""
+    """Run and signal with the largest NRMSE, of the shown quantities if one differs; None without."""
     quantities = [(label, q) for label in comparison.against for q in comparison.quantities()]
     rows = [(label, row) for label, q in quantities if (row := comparison.worst(label, q))]
     differ = [(label, row) for label, row in rows if not comparison.equal(label, row)]
-    return max(differ, key=lambda pair: pair[1].metrics.nrmse or 0.0, default=None)
+    shown = [pair for pair in differ if pair[1].group in _shown_quantities(comparison)]
+    return max(shown or differ, key=lambda pair: comparison.rank(*pair), default=None)
 
 
 def _runs(comparison: Comparison) -> TextTable:

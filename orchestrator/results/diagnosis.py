@@ -72,6 +72,8 @@ BLIND = (
     "A reading is missing or wrong, old and new readings contradict each other, or the machine did not do"
     " what would show it: rest, motion or flow for long enough"
 )
+TOGETHER = "its interval holds the healthy size, but the others of its part tell the fault with it"
+MOST_TOLD = 3  # faults in the first sentence, the most certain first
 READ_ONLY = (" sensor", "cooler", "tare")  # ends of repairs that one reading alone tells
 
 
@@ -80,6 +82,7 @@ class Finding:
     """What an FMU tells of one thing that may be broken; size, deviation and state over the time [s].
 
     healthy   size of the healthy machine
+    words     the fault in a sentence, of a smaller size and of a larger one
     """
 
     name: str
@@ -91,6 +94,7 @@ class Finding:
     deviation: Array
     state: Array
     healthy: float = 0.0
+    words: tuple[str, ...] = ()
 
     @property
     def broken(self) -> bool:
@@ -125,6 +129,13 @@ class Finding:
             return SHOWN[self.unit]
         display = DisplayUnit(self.unit, {"Pa": "bar"}.get(self.unit, self.unit))
         return display.factor, display.name
+
+    @property
+    def sentence(self) -> str:
+        """The fault as a mechanic says it, where it was told last."""
+        text = self.text if self.text[1:2].isupper() else self.text[:1].lower() + self.text[1:]
+        below, *above = self.words or (text,)
+        return [below, *above][-1] if self.size[self.last] > self.healthy else below
 
     def usual(self) -> str:
         """The size of the healthy machine, of what has a size."""
@@ -205,11 +216,9 @@ class Diagnosis:
     def verdict(self) -> str:
         """What was found, in words."""
         if self.broken:
-            unsure = [f.text for f in self.broken if f.may_be_healthy]
-            together = "; by its own interval it may be healthy, but not with the others of its part: "
-            count = len(self.broken)
-            told = "1 fault found" if count == 1 else f"{count} faults found, the most certain first"
-            return f"{told}{together if unsure else ''}{'; '.join(unsure)}"
+            told = [*dict.fromkeys(f.sentence for f in self.broken)]
+            count = "1 fault found" if len(self.broken) == 1 else f"{len(self.broken)} faults found"
+            return f"{count}: {'; '.join(told[:MOST_TOLD])}{'; ...' * (len(told) > MOST_TOLD)}"
         return f"not known whether it is healthy: {self.lacking}" if self.lacking else "nothing found"
 
     def table(self) -> TextTable:
@@ -237,6 +246,7 @@ class Diagnosis:
         parts: list[Part] = [
             Text(self.remarks, "soft"),
             *([Table(self.table())] if self.broken else []),
+            Text([f"{f.text}: {TOGETHER}" for f in self.broken if f.may_be_healthy], "soft"),
             Text([*told, *at_end] if self.broken else [*at_end, *told], only=TERMINAL),
             Text([MARKED] if machine else (), "soft", only=PAGE),
             Machine(machine),
@@ -356,11 +366,12 @@ def _examined(
     source   of the readings, for messages
     """
     (component,) = system.components.values()
-    variables, found = component.interface.variables, list[tuple[str, str, str, str]]()
+    variables, found = component.interface.variables, list[tuple[str, str, str, str, tuple[str, ...]]]()
     trace, values, remarks = _checked(component, trace, source)
     for f in findings_in(system)[0]:
         name = f.signals[0].partition(".")[2]
-        found += [(name, f.text, variables[name].unit_name or "1", f.repair)] if f.repair else []
+        unit = variables[name].unit_name or "1"
+        found += [(name, f.text, unit, f.repair, f.words)] if f.repair else []
     if not found:
         raise Problem(f"{component.source}: expected outputs NAME, NAME_deviation and NAME_state, found none")
     outputs = [n for n, v in variables.items() if v.causality == "output"]
@@ -374,7 +385,7 @@ def _examined(
         size, off, state = (np.asarray(result[f"{one[0]}{end}"]) for end in ("", "_deviation", "_state"))
         reference = f"{one[0]}{REFERENCE}"
         healthy = float(component.value(reference)) if reference in variables else 0.0
-        findings.append(Finding(*one, time, size, off, state, healthy))
+        findings.append(Finding(*one[:4], time, size, off, state, healthy, one[4]))
     remarks += [w for w in result.system.warnings if "did you mean" in w and REFERENCE not in w]
     name, valves = Path(source).name, {f.repair for f in findings if "_gain_" in f.name}
     if len(valves) > 1 and valves <= {f.repair for f in findings if f.broken}:

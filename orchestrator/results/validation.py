@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.base.errors import Problem, UnknownSignal
+from orchestrator.base.errors import Problem, UnknownSignal, suggest
 from orchestrator.base.signals import found
 from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import factor_and_offset
@@ -205,7 +205,10 @@ def check_comparable(run: Trace, reference: Recording) -> None:
         if name in reference.unlisted - run.signals.keys():
             continue
         if name not in run.signals:
-            raise UnknownSignal(name, run.signals, f"{reference.source}: ")
+            described = reference.source.suffix == ".toml"
+            describe = "" if described else f"; describe the columns: harvester describe {reference.source}"
+            hint = suggest(name, run.signals) or describe
+            raise UnknownSignal(name, run.signals, f"{reference.source}: ", hint=hint)
         if unit := run.units.get(name, ""):  # a refusal contains the unit that the user wrote
             unit_of_file = reference.file_units.get(name, reference.units[name])
             factor_and_offset(unit_of_file, unit, reference.place(name))

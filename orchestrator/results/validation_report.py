@@ -290,7 +290,7 @@ def _numbers(validation: Validation) -> Table:
     listed = [row for row in validation.rows if row.listed]
     names, rows = short_names(row.signal for row in listed), list[list[str]]()
     for title, members in grouped(sorted(listed, key=lambda row: row.tolerance is None), _section).items():
-        rows.append([title])
+        rows.append([title + _limits(members)])
         for row in members:
             m, unit, mark = row.metrics, error_display_unit(row.unit), "!" if row.passed is False else " "
             shares = percentage(m.nrmse), percent(m.fit, m.rmse), percent(m.vaf, m.rmse)
@@ -311,6 +311,13 @@ def _section(row: ValidatedSignal) -> str:
     """Group, unit and judged metric of a signal."""
     judged = NAMES[row.tolerance.metric] if row.tolerance else "not judged"
     return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {judged}"
+
+
+def _limits(members: Sequence[ValidatedSignal]) -> str:
+    """The limit of signals with one metric, or the ends of their limits; empty if they are not judged."""
+    judged = sorted((row.tolerance.limit, k) for k, row in enumerate(members) if row.tolerance)
+    ends = dict.fromkeys(judged_text(members[k], limit) for limit, k in (judged[:1] + judged[-1:]))
+    return f", limit {' to '.join(ends)}" if ends else ""
 
 
 def _remarks(validation: Validation) -> list[str]:

@@ -168,7 +168,7 @@ def quantiles(samples: pd.DataFrame, signal: str) -> tuple[Array, Array]:
 MOST_BARS = 12  # the table contains all effects
 LABELS = {
     MU_STAR: "change over the factor's range, μ*",
-    TOTAL: "fraction of the variance",
+    TOTAL: "fraction of the variance, total ones overlap",
     FIRST: "fraction of the variance, first order",
 }
 

@@ -36,7 +36,7 @@ DECAY = toy(
     p={"rate": q("1/s", tunable=True), "gain": q(minimum=0.0, maximum=10.0)},
     x={"level": q(minimum=-1e6)},
     u={"target": q(minimum=-100.0, maximum=100.0)},
-    y={"level": q(warn_below=-60.0, meaning="it is dry"), "mixed": q(warn_above=5.0)},
+    y={"level": q(warn_below=-60.0, meaning="it is dry: fill it"), "mixed": q(warn_above=5.0)},
     f=lambda x, u, p: {"level": p.rate * (u.target - x.level)},
     g=lambda x, u, p: {"level": x.level, "mixed": p.gain * x.level + u.target},
 )

@@ -126,7 +126,7 @@ def test_watched_output_warns_once_per_excursion(open_fmu, start, targets, told)
         fmu.fmu.doStep(float(k), 1.0)
     warnings = fmu.logged("logStatusWarning")
     assert len(warnings) == len(told)
-    assert all(f"mixed = {words} is above 5" in text for words, text in zip(told, warnings, strict=True))
+    assert all(f"limit at {words} (limit 5)" in text for words, text in zip(told, warnings, strict=True))
 
 
 def test_a_value_below_its_lowest_is_a_warning(open_fmu):
@@ -136,8 +136,8 @@ def test_a_value_below_its_lowest_is_a_warning(open_fmu):
         fmu.set(target=target)
         fmu.fmu.doStep(float(k), 1.0)
     said = [w.partition(": ")[2] for w in fmu.logged("logStatusWarning") if "level" in w]
-    told = "level = {} 1 at t = {} s is below -60 1: it is dry"
-    assert said == [told.format(*at) for at in ((-70, 2), (-80, 5))]
+    told = "it is dry at t = {} s: level = {} (lower limit -60): fill it"
+    assert said == [told.format(*at) for at in ((2, -70), (5, -80))]
 
 
 def test_a_repeated_warning_is_logged_three_times(open_fmu):

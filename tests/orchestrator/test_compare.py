@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +94,7 @@ def test_a_signal_at_rest_is_not_the_worst():
 
 def test_a_constant_reference_counts_where_the_other_run_moves():
     """NRMSE is then over the range of both runs, and marked; only what moves in neither is left out."""
-    found = compare({"usual": trace(rest=1.0), "other": trace(0.01, rest=1.0 + 0.5 * SPEED)})
+    found = compare({"usual": trace(rest=1.0), "other": trace(rest=1.0 + 0.5 * SPEED)})
     worst = found.worst("other", "speed")
     span = np.ptp(0.5 * SPEED)
     assert worst.signal == "arm.rest"
@@ -107,20 +108,51 @@ def test_a_constant_reference_counts_where_the_other_run_moves():
     assert compare({**alone, "other": alone["usual"]}).worst("other", "speed") is None
 
 
+@pytest.mark.parametrize("still", [0.0, 0.01])  # at rest, and moving by a hundredth of the other speed
+@pytest.mark.parametrize("swapped", [False, True])
+def test_what_moves_and_differs_comes_before_what_stands_still(still, swapped):
+    """Although the NRMSE of the latter is ten times that of the former; with the runs in either order."""
+    runs = [trace(rest=still * SPEED), trace(0.04, rest=still * SPEED + 0.005)]
+    runs[not swapped] = replace(
+        runs[not swapped], signals={**runs[not swapped].signals, "arm.rest": 0.5 * SPEED}
+    )
+    found = compare(dict(zip(("one", "other"), runs, strict=True)))
+    assert (found.against["other"]["arm.rest"].metrics.nrmse or 1.0) > 0.3
+    assert found.worst("other", "speed").signal == "arm.speed"
+    # an offset of 0.04 over the range of the sine, 2
+    assert report(found).verdict == "largest NRMSE: arm.speed of other, 2 %; at most 2.29 deg/s"
+
+
+def test_the_first_sentence_is_about_what_is_shown():
+    """A power that differs by its whole range is in the table; the sentence is about speeds and pressures."""
+    units = UNITS | {"engine.power": "W"}
+    one, other = (trace(0.04 * k, units=units) for k in (0, 1))
+    runs = {
+        n: replace(t, signals={**t.signals, "engine.power": p})
+        for n, t, p in (("one", one, 1e4 * SPEED), ("other", other, -1e4 * SPEED))
+    }
+    found = compare(runs)
+    assert found.worst("other", "power").metrics.nrmse > 0.5
+    told = "largest NRMSE of speed and pressure: arm.speed of other, 2 %; at most 2.29 deg/s"
+    assert report(found).verdict == told
+    alike = compare(
+        {"one": runs["one"], "other": replace(one, signals={**one.signals, "engine.power": -1e4 * SPEED})}
+    )
+    assert report(alike).verdict.startswith("largest NRMSE: engine.power of other")
+
+
 def test_the_largest_difference_is_that_of_all_signals():
     """Not of the one with the largest NRMSE; also in the table and where units differ."""
     units = {"a": "Pa", "b": "Pa", "c": "bar"}
 
     def shifted(k):
-        values = {"a": 1e5 + 1e4 * (SPEED + k), "b": PRESSURE + k * 5e4, "c": PRESSURE / 1e5 + 0.7 * k}
+        values = {"a": 1e5 + 1e5 * (SPEED + k), "b": PRESSURE + k * 5e4, "c": PRESSURE / 1e5 + 2 * k}
         return Trace(TIME, values, units)
 
     found = compare({"usual": shifted(0), "other": shifted(1)})
     assert found.worst("other", "pressure").signal == "a"
     assert found.largest("other", "pressure").signal == "c"
-    assert re.search(
-        r"^pressure +3  a +\S+ % +0.1 bar\n +c +\S+ % +0.7 bar$", report(found).text(), re.MULTILINE
-    )
+    assert re.search(r"^pressure +3  a +\S+ % +1 bar\n +c +\S+ % +2 bar$", report(found).text(), re.MULTILINE)
 
 
 def test_costs_tell_what_was_swapped_and_the_ratio(fmus):

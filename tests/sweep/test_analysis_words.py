@@ -125,3 +125,28 @@ def test_intervals_of_a_linear_model_hold_the_share() -> None:
         shares = [effects(finding(found))[f.name].estimates[REGRESSION] for f in UNIT]
         held += [s.floor <= t <= s.ceiling for s, t in zip(shares, truth, strict=True)]
     assert (held >= 17).all()
+
+
+@pytest.mark.parametrize(
+    ("function", "factors", "total"),
+    [
+        # two centred factors: nothing alone, each in everything
+        (lambda x: (x["x1"] - 0.5) * (x["x2"] - 0.5), UNIT[:2], 200),
+        # three: each in everything
+        (lambda x: (x["x1"] - 0.5) * (x["x2"] - 0.5) * (x["x3"] - 0.5), UNIT, 300),
+        # 1 + the share of x1 x3, which counts twice: 0.244 [Saltelli et al. 2008, section 4.7]
+        (ishigami, ISHIGAMI, 124),
+    ],
+    ids=["two", "three", "ishigami"],
+)
+def test_shares_of_a_sentence_sum_to_at_most_everything(function, factors, total) -> None:
+    """Total indices, which sum to more, are in a sentence that says so."""
+    said = sentences(finding(results(function, factors, "saltelli", 512)))
+    percent = re.compile(r"(\d+) % \(")
+    shares = " ".join(s for s in said if "depends most" in s or s.startswith(("Next", "No factor")))
+    # noise of 512 base samples, 0.03 for each factor
+    assert sum(map(int, percent.findall(shares))) <= 109
+    # three deviations of such a sum of total indices, 0.05
+    (overlapping,) = (s for s in said if s.startswith("With all interactions: "))
+    assert sum(map(int, percent.findall(overlapping))) == pytest.approx(total, abs=15)
+    assert overlapping.endswith("; these overlap, so they sum to more than 100 %.")

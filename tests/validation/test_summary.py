@@ -38,14 +38,14 @@ def made(**signals: Tolerance | None) -> Validation:
 
 
 def test_a_line_per_signal_below_its_group_and_limit(outcome: Validation) -> None:
-    """Unit and metric stand in the group's line, the name without its component."""
+    """Unit, metric and limit stand in the group's line, the name without its component."""
     lines = shown(outcome)
     assert "\n".join(lines).isascii()  # a redirected output on Windows knows few other characters
     assert max(map(len, lines)) <= 80
     assert lines[0] == "Compared with: Shaft test"
     assert lines[1].split() == ["max", "error", "RMSE", "NRMSE", "%", "fit", "%", "VAF", "%", "of", "limit"]
-    at = lines.index("pressure [bar]: max. error")
-    assert lines[at - 2] == "angle [deg]: NRMSE"
+    at = lines.index("pressure [bar]: max. error, limit 2 bar")
+    assert lines[at - 2] == "angle [deg]: NRMSE, limit 1 %"
     assert line(lines, "  angle")[-2:] == ["0.1", "%"]
     # range 20 (1 + exp(-pi / 20)) = 37.1 bar, standard deviation about 20 / sqrt(8) = 7.1 bar
     name, largest, rms, share, fit, *rest = lines[at + 1].split()
@@ -76,10 +76,10 @@ def test_a_miss_in_the_words_of_its_metric(metric: str, limit: float, told: str)
 
 
 def test_signals_that_are_not_judged_come_last() -> None:
-    """Below a line that says so; signals of one metric stand together."""
+    """Below a line that says so; signals of one metric stand together, with the ends of their limits."""
     lines = shown(made(a__x=None, a__y=Tolerance("rmse", 1.0), a__z=Tolerance("rmse", 2.0)))
     heads = [text for text in lines if text.startswith("signals")]
-    limits = ("RMSE", "not judged")
+    limits = ("RMSE, limit 1000 mm to 2000 mm", "not judged")
     assert heads == [f"signals [mm]: {limit}" for limit in limits]
     assert line(lines, "  x")[-1] == "-"
 

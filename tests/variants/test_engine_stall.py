@@ -101,9 +101,12 @@ def test_the_card_tells_when_the_engine_stalled(system, bench):
     done = run(system, Trace(np.array([0, 0.2, 3.0]), levers), swap=swap, set=weak, step=2e-3, stop=3.0)
     speed, time = done.trace["supply.engine_speed"], done.trace.time
     assert speed.min() >= 0
-    for name, limit, end in (("idle", IDLE, ""), ("stall", STALL, ": the engine has stalled and does not")):
+    words = ("is overloaded", IDLE), ("has stalled and does not start again", STALL)
+    for name, (word, limit) in zip(("idle", "stall"), words, strict=True):
         (line,) = (w for w in done.card.warnings if f"engine_speed_below_{name} = " in w)
-        found = re.match(rf"supply: \S+ = (\S+) rad/s at t = (\S+) s is above 0 rad/s{end}", line)
-        crossed, at = np.argmax(speed < limit), float(found[2])
+        pattern = rf"supply: the engine {word} at t = (\S+) s: \S+ = (\S+) rpm \(limit 0 rpm\), at most"
+        found = re.match(pattern, line)
+        crossed, at = np.argmax(speed < limit), float(found[1])
         assert time[crossed - 1] < at <= time[crossed]  # a row, or within a step that was divided
-        assert float(found[1]) == pytest.approx(limit - np.interp(at, time, speed), abs=2e-3)  # curvature
+        # curvature within a step, and four digits of at most 1 rad/s
+        assert float(found[2]) * RPM == pytest.approx(limit - np.interp(at, time, speed), abs=2e-3)

@@ -34,10 +34,10 @@ def test_both_drives_have_their_bonds(system):
 @pytest.mark.parametrize(
     ("supply", "temperature", "volume", "told"),
     [
-        ("ideal", 248.15, None, "oil_temperature = 248.15 K at t = 0 s is below 253.15 K"),
+        ("ideal", 248.15, None, "cold oil at t = 0 s: oil_temperature = -25 degC (lower limit -20 degC)"),
         ("ideal", 253.15, None, ""),
-        ("engine_pump", 333.15, 0.002, "reservoir_volume_below_suction = 0.078 m3 at t = 0 s is above 0 m3"),
-        ("load_sensing", 263.15, 0.081, "oil_viscosity = 0.001"),
+        ("engine_pump", 333.15, 0.002, "the pumps draw air and lose their flow at t = 0 s: "),
+        ("load_sensing", 263.15, 0.081, "cold oil at t = 0 s: oil_viscosity = "),
     ],
 )
 def test_cold_oil_and_an_empty_tank_are_told(system, supply, temperature, volume, told):

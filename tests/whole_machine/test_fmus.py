@@ -50,4 +50,5 @@ def test_command_beyond_the_range_is_warned_of(fmu_dir, capsys):
         assert "swing_command" not in capsys.readouterr().out
         fmu.set(swing_command=70.0)
         fmu.step(1e-3, 5)
-    assert capsys.readouterr().out.count("swing_command = 70 V at t = 0.003 s is above 10 V") == 1
+    told = "more than the full command of the swing valve at t = 0.003 s: swing_command = 70 V (limit 10 V)"
+    assert capsys.readouterr().out.count(told) == 1

@@ -149,7 +149,7 @@ def test_a_parameter_file_in_another_unit_is_doubtful(tmp_path, capsys, monkeypa
     monkeypatch.setattr(files, "_told", set())
     file = tmp_path / "my.toml"
     entry = 'value = {}\nunit = "kg"\nsource = "assumed"\nnote = "a scale"\n'
-    light = "my.toml: head_mass = 0.4 kg, usually about 350 kg; did you mean 0.4 t?"
+    light = "my.toml: head_mass = 0.4 kg, usually about 0.35 t; did you mean 0.4 t?"
     for mass, told in ((400, ""), (0.4, light)):
         file.write_text(f'[parameters."manipulator.head_mass"]\n{entry.format(mass)}', encoding="utf-8")
         harvester_machine(file)
@@ -161,7 +161,7 @@ def test_the_warning_is_in_the_result_and_its_file(built, tmp_path, capsys):
     out = tmp_path / "run.csv"
     arguments = ["--set", "manipulator.head_mass=0.6", "--stop", "0.01", "--out", str(out)]
     assert main(["run", str(built / "harvester.ssp"), *arguments]) == 0
-    told = "manipulator.head_mass = 0.6 kg, usually about 350 kg; did you mean 0.6 t?"
+    told = "manipulator.head_mass = 0.6 kg, usually about 0.35 t; did you mean 0.6 t?"
     assert capsys.readouterr().out.count(told) == 1
     assert json.loads(out.with_suffix(".run.json").read_text())["warnings"] == [told]
 

@@ -255,8 +255,8 @@ LOCAL void core_plan_inputs(Core *core, const double *u, double tau) {
 
 /* ---- checks and steps ------------------------------------------------------------------------ */
 
-/* Relative excess over a limit without a warning: rounding of a ramp at its limit. A message has six digits, so
-   a value within the margin would be printed as the limit itself. */
+/* Relative excess over a limit without a warning: rounding of a ramp at its limit. A message near
+   the limit has six digits, so a value within the margin would be printed as the limit itself. */
 static const double WARNING_MARGIN = 1e-5;
 
 /* Warnings of one variable; later excursions are not logged. */
@@ -265,17 +265,19 @@ enum { MOST_WARNINGS = 3 };
 /* A warning for each of the first excursions of a watched input or output. */
 static void watch(Core *core) {
     for (int k = 0; k < NWATCHED; k++) {
-        const int r = model_watched[k];
-        const Variable *v = &model_variables[r];
-        const double value = value_of(core, r);
-        const int below = value < v->warn_below - WARNING_MARGIN * fabs(v->warn_below);
-        const int beyond = below ? -1 : fabs(value) > (1.0 + WARNING_MARGIN) * v->warn_above;
+        const Watched *w = &model_watched[k];
+        const double value = value_of(core, w->reference);
+        const int below = value < w->below - WARNING_MARGIN * fabs(w->below);
+        const int beyond = below ? -1 : fabs(value) > (1.0 + WARNING_MARGIN) * w->above;
         if (beyond && beyond != core->s.beyond[k] && core->s.warnings[k] < MOST_WARNINGS) {
             const int last = ++core->s.warnings[k] == MOST_WARNINGS;
             core_tell_held_inputs(core, WARNING);
-            core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is %s %g %s%s%s", v->name, value, v->unit,
-                         core->s.time, below ? "below" : "above", below ? v->warn_below : v->warn_above, v->unit,
-                         v->meaning, last ? "; no further warning of it follows" : "");
+            const double limit = below ? w->below : w->above, size = below ? value : fabs(value);
+            const double shown = w->factor * size + w->offset;
+            const int digits = fabs(size - limit) < 1e-3 * fabs(limit) || fabs(shown) >= 1e4 ? 6 : 4;
+            core_message(core, WARNING, "%s at t = %.6g s: %s = %.*g%s%s", w->meaning[below], core->s.time,
+                         model_variables[w->reference].name, digits, shown, w->limit[below],
+                         last ? "; no further warning of it follows" : "");
         }
         core->s.beyond[k] = beyond;
     }

@@ -3,8 +3,8 @@
        dx/dt = f(x, u, p)        y = g(x, u, p)        x(0) = s(x_start, u, p)
 
    sizes.h, model.c, initial.c, start.h and start.c are generated; all other files are the same for every model.
-   model.c also defines three tables: model_variables (by value reference), model_watched (value references of the
-   variables with a warning limit) and model_statements (descriptions of the requirements; model_require computes
+   model.c also defines three tables: model_variables (by value reference), model_watched (the variables with a
+   warning limit) and model_statements (descriptions of the requirements; model_require computes
    the values that must be positive). start.c holds all that another set of parameter values changes.
    Vectors: x states, u inputs, p parameters, c quantities that depend on p alone, z on x and p alone. */
 
@@ -60,12 +60,19 @@ typedef struct {
     double minimum, maximum; /* infinite if there is no bound */
     double nominal;
     double absolute_scale;   /* states: absolute tolerance / relative tolerance */
-    double warn_above;       /* magnitude above which a warning is logged; infinite if there is no limit */
-    double warn_below;       /* value below which a warning is logged; -infinite if there is no limit */
     int rate;                /* inputs: index of the input that is the time derivative of this one, or -1 */
     int held;                /* inputs: whether c depends on it; then it is constant in a step */
-    const char *meaning;     /* what a value beyond its limit means, after a colon; empty if nothing is said */
 } Variable;
+
+/* A variable with a warning limit, and the parts of the warning before and after its value. */
+typedef struct {
+    int reference;
+    double above;            /* magnitude above which a warning is logged; infinite if there is no limit */
+    double below;            /* value below which a warning is logged; -infinite if there is no limit */
+    double factor, offset;   /* to the unit of readers */
+    const char *meaning[2];  /* of a value above its limit, and of one below */
+    const char *limit[2];    /* unit, limit and what follows from it */
+} Watched;
 
 #ifdef IN_PARTS
 extern const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)];

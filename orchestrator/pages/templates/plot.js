@@ -177,7 +177,7 @@
       const data = this.spec.axis ? [this.whole, [null, null]] : [columns[chart.time], ...lines.map((line) => columns[line.column])];
       entry.plot = new uPlot(this.options(entry), data, place);
       const whole = (chart.words ?? []).map(([, word]) => word.replace("\n", " ")).join("\n");
-      if (whole) place.querySelectorAll(".u-axis")[1].title = whole;
+      if (whole) [...place.querySelectorAll(".u-axis")].at(-1).title = whole; // a chart without ticks below has this axis alone
     }
 
     options(entry) {

@@ -211,29 +211,31 @@ def _answer(analysed: OutputAnalysis, sensitivity: Sensitivity) -> list[str]:
     # the largest effect, and those whose intervals overlap with its interval
     floor = effects[0].estimates[measure].floor
     leaders = [e for e in effects if e.estimates[measure].ceiling >= floor]
-    answer = [_first(analysed, effects, leaders, measure)]
+    shown = FIRST if _overlap(sensitivity) else measure
+    answer = [_first(analysed, effects, leaders, measure, shown)]
     least = NOTICEABLE * (effects[0].estimates[measure].value if measure == MU_STAR else 1.0)
     smaller = [e for e in effects if e not in leaders and e.estimates[measure].floor > 0]
     followers = [e for e in smaller if e.estimates[measure].value >= least]
     if followers and len(leaders) <= MOST_LEADERS:
-        sizes = [f"{e.label} {size(e.estimates[measure], measure, analysed.display)}" for e in followers[:4]]
+        sizes = [f"{e.label} {size(e.estimates[shown], shown, analysed.display)}" for e in followers[:4]]
         answer.append(f"Next: {', '.join(sizes)}.")
-    interaction = _interaction(sensitivity)
-    return [*answer, interaction] if interaction else answer
+    return [*answer, *filter(None, [_interaction(sensitivity), _overlap(sensitivity)])]
 
 
-def _first(analysed: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> str:
-    """Sentence about the leading factors, or about their absence."""
-    top, fraction = effects[0], FRACTIONS.get(measure, "over its range")
+def _first(
+    analysed: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[Effect], measure: str, shown: str
+) -> str:
+    """Sentence about the leading factors by a measure, with the values of another, or about their absence."""
+    top, fraction = effects[0], FRACTIONS.get(shown, "over its range")
     significant = top.estimates[measure].floor > (0.0 if measure == MU_STAR else NOTICEABLE)
     if not significant or len(leaders) > MOST_LEADERS or len(leaders) == len(effects):
         others = len(leaders) - 1
         similar = f"; {others} more cannot be distinguished from it" if others else ""
-        largest = size(top.estimates[measure], measure, analysed.display)
+        largest = size(top.estimates[shown], shown, analysed.display)
         lead = f"the largest is {top.label} with {largest} {fraction}"
         return f"No factor stands out for {analysed.name}: {lead}{similar}."
     names = [e.label for e in leaders]
-    sizes = [size(e.estimates[measure], measure, analysed.display) for e in leaders]
+    sizes = [size(e.estimates[shown], shown, analysed.display) for e in leaders]
     ending = _direction(analysed, top)
     if len(leaders) > 1:
         ending = "; these runs do not show which of them has the larger effect"
@@ -252,6 +254,15 @@ def size(estimate: IntervalEstimate, measure: str, unit: DisplayUnit) -> str:
     limited = (min(1.0, max(0.0, v)) for v in (estimate.value, estimate.floor, estimate.ceiling))
     percent, least, most = (f"{100 * v:.0f}" for v in limited)
     return f"{percent} %" if estimate.low is None else f"{percent} % ({least} to {most})"
+
+
+def _overlap(sensitivity: Sensitivity) -> str:
+    """Sentence about total indices that count interactions several times, which are no shares; else empty."""
+    effects = [e for e in sensitivity.effects if FIRST in e.estimates and TOTAL in e.estimates]
+    if sum(e.estimates[TOTAL].value for e in effects) < 1.0 + INTERACTION:
+        return ""
+    parts = [f"{e.label} {size(e.estimates[TOTAL], TOTAL, DisplayUnit('1', '1'))}" for e in effects[:4]]
+    return f"With all interactions: {', '.join(parts)}; these overlap, so they sum to more than 100 %."
 
 
 def _direction(analysed: OutputAnalysis, effect: Effect) -> str:
