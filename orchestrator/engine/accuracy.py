@@ -207,7 +207,7 @@ class AccuracySearch:
         """The accepted result with a note on its accuracy."""
         last = f" in run {self.runs}" * (self.runs > 1)
         reached = f"estimated RMS error {self._error:.1e} of the range{last}"
-        reason, where = self._sources.reason(result.trace)
+        reason, where = self._sources.reason(result)
         if reason:
             reached = f"not known, because {reason}; {where}: {reached}"
         goal = f"accuracy {self.accuracy:g} of {first_names(self.decisive)}"
@@ -370,11 +370,13 @@ class Sources:
                 self.longest = min(self.longest, (samples - 1) * spacing)
         self.jumping = {name for name in trace.signals if jumps(trace, name)}
 
-    def reason(self, trace: Trace) -> tuple[str, str]:
-        """Why the accuracy of a run with this trace is unknown, and where its estimate holds; else empty."""
+    def reason(self, result: Result) -> tuple[str, str]:
+        """Why the accuracy of a run is unknown, and where its estimate holds; else empty."""
         if self._events:
             return f"of {self._events}", "without"
-        jumping = [n for n in self.causes if n in self.jumping or jumps(trace, n)]
+        unseen, trace = result.card.unseen, result.trace
+        jumping = [n for n, found in unseen.items() if found.hidden or n in self.causes]
+        jumping += [n for n in self.causes if n not in unseen and (n in self.jumping or jumps(trace, n))]
         if jumping:
             return f"{first_names(jumping)} jumps", "without jumps"
         if self.hidden:

@@ -236,6 +236,18 @@ class BondEnergy:
 
 
 @dataclass(frozen=True)
+class Unseen:
+    """What an output does inside of steps, over its range.
+
+    hidden   mean of what is outside of the values at both ends of a step, beyond a tenth of the range
+    jumps    it jumps, or has a pulse of one point
+    """
+
+    hidden: float
+    jumps: bool
+
+
+@dataclass(frozen=True)
 class EstimatedError:
     """The estimated error of one output over a run, in its unit: root mean square, and largest magnitude."""
 
@@ -303,6 +315,7 @@ class Card(RunFigures):
     adaptive      tolerance of an adaptive run; None: all steps are equal
     errors        of signals; errors_of_inputs: estimated during the run, else changes in further runs
     events        of FMUs
+    unseen        output -> what it does inside of steps
     """
 
     record_step: float = 0.0
@@ -313,6 +326,7 @@ class Card(RunFigures):
     errors_of_inputs: bool = False
     events: tuple[Event, ...] = ()
     texts: tuple[tuple[float, str, str], ...] = ()
+    unseen: Mapping[str, Unseen] = field(default_factory=dict)
 
     def doubted(self, *reasons: str) -> Card:
         """This card with reasons why the result is not reliable."""
@@ -409,6 +423,7 @@ class RunEnd:
     t             simulated until this time [s]
     steps, ...    as in `Card`
     errors        estimated during the run, by output
+    unseen        output -> what it does inside of steps
     events        that were handled, by time
     logs          messages of the FMUs
     notes         remarks on the run
@@ -426,6 +441,7 @@ class RunEnd:
     bonds: tuple[BondEnergy, ...] = ()
     errors: Mapping[str, EstimatedError] = field(default_factory=dict)
     inside: Mapping[str, float] = field(default_factory=dict)
+    unseen: Mapping[str, Unseen] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     texts: tuple[tuple[float, str, str], ...] = ()
     logs: tuple[Log, ...] = ()
@@ -462,6 +478,24 @@ def unreliable_energies(bonds: Sequence[BondEnergy], advice: str = SHORTER) -> l
         f"energy error of the coupling: {b.relative:+.1%} of what {b.name} exchanged; the result is not"
         f" reliable, {advice}"
         for b in bonds_above(bonds, UNRELIABLE)
+    ]
+
+
+def unseen_notes(unseen: Mapping[str, Unseen]) -> list[str]:
+    """A line on the outputs that jump, or have short pulses, inside of steps."""
+    names = [name for name, found in unseen.items() if found.hidden <= UNRELIABLE]
+    return [f"{first_names(names)} jumps inside of steps, with effects up to a step late"] if names else []
+
+
+def unreliable_outputs(unseen: Mapping[str, Unseen]) -> list[str]:
+    """A line on the outputs that hide so much between two points that the result is not reliable."""
+    names = {name: found.hidden for name, found in unseen.items() if found.hidden > UNRELIABLE}
+    if not names:
+        return []
+    worst = f"by {max(names.values()):.0%} of its range on average"
+    return [
+        f"{first_names(names)} jumps inside of steps, {worst}, which the other FMUs do not see; the result"
+        " is not reliable, take much shorter steps"
     ]
 
 

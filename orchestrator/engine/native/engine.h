@@ -368,6 +368,25 @@ typedef struct Events {
     double low, high, margin, before; /* before: time after which an FMU stopped in the last try [s] */
 } Events;
 
+typedef struct LookedAt { /* an output that is known at communication points only, see looks.c */
+    double value, change, rate; /* at the last point; its change in the last step; the rate of the step before [1/s] */
+    double lowest, highest;
+    double jump;   /* the largest change in a step that those around it do not have */
+    double hidden; /* sum of what looks found outside of the values at both points around them */
+    int64_t index; /* in the array of Real values */
+} LookedAt;
+
+typedef struct Looks { /* at the outputs of a component */
+    Program reads;  /* get the outputs into `inside` */
+    double *inside; /* values of the last look */
+    LookedAt *at;
+    double phase; /* of the last look: a part of the step */
+    int64_t count, next; /* looks that were compared; step of the next one */
+    int32_t component, outputs;
+    int32_t goes_back; /* the component can step to a time inside the step, and back */
+    int32_t looked;    /* in the present step */
+} Looks;
+
 typedef struct Pool Pool;
 
 typedef struct Simulation {
@@ -391,6 +410,8 @@ typedef struct Simulation {
     Scenario *scenario;           /* NULL without one */
     LinearPrediction *prediction; /* NULL if the plan has none */
     ErrorPropagation *errors;     /* NULL if the error is not estimated */
+    Looks *looks;
+    int32_t look_count;
     EnergyMonitor energy;
     Recorder recorder;
     Events events;
@@ -541,6 +562,11 @@ int component_set_inputs(Simulation *, Component *, Real begin, Real length, int
 int component_advance(Simulation *, int k, Real h, double *counter);
 void set_source_ends(Simulation *, Real h);
 Real step_error(const Simulation *, Real h);
+
+/* looks.c */
+int looks_take(Simulation *, double h);
+void looks_compare(Simulation *, double h);
+void looks_begin(Simulation *);
 
 /* events.c */
 void event_try(Simulation *);
