@@ -231,8 +231,9 @@ class AccuracySearch:
         if stagnates or late or shortest or self.runs >= MOST_RUNS:
             after = f"{self._given['time_limit']:g} s" if late else f"{self.runs} runs"
             why = "further runs hardly change it" * stagnates or f"after {after}"
-            settings = self._best.text
-            reached = f"estimated RMS error {progress.least:.1e} of the range with {settings}; " * known
+            settings, accepted = self._best.text, ACCEPTED[self._best.repeats] * self.accuracy
+            limit = f", where {accepted:.1e} is accepted," * (progress.least <= self.accuracy)
+            reached = f"estimated RMS error {progress.least:.1e} of the range{limit} with {settings}; " * known
             raise RunFailed(Problem(f"accuracy {self.accuracy:g}: not reached: {reached}{why}"), result)
         self._next(error)
 
@@ -326,6 +327,8 @@ class Sources:
         ports = influential_outputs(system)
         seen_at_jumps = estimated and divided
         self.causes = [str(p) for p in ports if not (seen_at_jumps and followed(system, p))]
+        fed = {name for name, component in system.components.items() if component.interface.of("input")}
+        self._divided = {str(p) for p in ports if p.component not in fed}.difference(self.causes)
         self.jumping, self.hidden = set[str](), list[str]()
         self._events = influential_events(system)
         known = estimated and all(followed(system, port) for port in ports)
@@ -375,8 +378,8 @@ class Sources:
         if self._events:
             return f"of {self._events}", "without"
         unseen, trace = result.card.unseen, result.trace
-        jumping = [n for n, found in unseen.items() if found.hidden or n in self.causes]
-        jumping += [n for n in self.causes if n not in unseen and (n in self.jumping or jumps(trace, n))]
+        jumping = [n for n, found in unseen.items() if found.hidden or n not in self._divided]
+        jumping = jumping or [n for n in self.causes if n in self.jumping or jumps(trace, n)]
         if jumping:
             return f"{first_names(jumping)} jumps", "without jumps"
         if self.hidden:

@@ -237,14 +237,19 @@ class BondEnergy:
 
 @dataclass(frozen=True)
 class Unseen:
-    """What an output does inside of steps, over its range.
+    """What an output that jumps does inside of steps, as a mean over the run, over its range.
 
-    hidden   mean of what is outside of the values at both ends of a step, beyond a tenth of the range
-    jumps    it jumps, or has a pulse of one point
+    hidden   what is outside of the values at both ends of a step, beyond a tenth of the range
+    late     changes by jumps, which other FMUs see up to a step late
     """
 
     hidden: float
-    jumps: bool
+    late: float
+
+    @property
+    def unreliable(self) -> bool:
+        """Is it so much that the result is not reliable?"""
+        return self.hidden + self.late > UNRELIABLE
 
 
 @dataclass(frozen=True)
@@ -483,20 +488,15 @@ def unreliable_energies(bonds: Sequence[BondEnergy], advice: str = SHORTER) -> l
 
 def unseen_notes(unseen: Mapping[str, Unseen]) -> list[str]:
     """A line on the outputs that jump, or have short pulses, inside of steps."""
-    names = [name for name, found in unseen.items() if found.hidden <= UNRELIABLE]
-    return [f"{first_names(names)} jumps inside of steps, with effects up to a step late"] if names else []
+    names = first_names(name for name, found in unseen.items() if not found.unreliable)
+    return [f"jumps inside of steps, with effects up to a step late: {names}"] * bool(names)
 
 
 def unreliable_outputs(unseen: Mapping[str, Unseen]) -> list[str]:
-    """A line on the outputs that hide so much between two points that the result is not reliable."""
-    names = {name: found.hidden for name, found in unseen.items() if found.hidden > UNRELIABLE}
-    if not names:
-        return []
-    worst = f"by {max(names.values()):.0%} of its range on average"
-    return [
-        f"{first_names(names)} jumps inside of steps, {worst}, which the other FMUs do not see; the result"
-        " is not reliable, take much shorter steps"
-    ]
+    """A line on the outputs that jump so much that the result is not reliable."""
+    names = first_names(name for name, found in unseen.items() if found.unreliable)
+    told = f"jumps inside of steps, which other FMUs do not see in time: {names}"
+    return [f"{told}; the result is not reliable, take much shorter steps"] * bool(names)
 
 
 def unreliable_errors(errors: Sequence[SignalError], system: System) -> list[str]:

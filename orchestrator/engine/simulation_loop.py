@@ -86,6 +86,8 @@ def run_job(
         loop.recorder.finish()
         if loop.errors:
             loop.errors.collect(sink)
+        if "accuracy" not in job.options:  # which compares runs
+            loop.notes += loop.looks.notes
         if loop.state.pause < np.inf:
             loop.notes += (f"no state is saved: the run ended before t = {loop.state.pause:.9g} s",)
         state, network = loop.state, loop.network
@@ -99,7 +101,7 @@ def run_job(
             bonds=tuple(loop.energy.energies()),
             errors=loop.errors.errors() if loop.errors else {},
             inside=loop.inside,
-            unseen=loop.looks.found(),
+            unseen=loop.looks.found(state.t - job.times.start),
             events=loop.events,
             texts=tuple(network.texts.changes),
             logs=tuple(copy(s.log) for s in network.slaves.values()),
@@ -454,7 +456,7 @@ class SimulationLoop:
         saves = iterates or repeats or self._instants is not None
         pairs = [(c, c.slave.interface) for c in self._components]
         for c, interface in pairs:
-            c.struct.rollback = interface.rollback and (saves or c.slave.name in self.looks.components)
+            c.struct.rollback = interface.rollback and (saves or c.slave.name in self.looks.go_back)
             c.struct.halved = self._plan.halves and c.struct.substeps == 1 and interface.variable_step
         self.state.saves = saves
         self.state.rollback = saves and all(c.struct.rollback and i.variable_step for c, i in pairs)

@@ -372,6 +372,7 @@ typedef struct LookedAt { /* an output that is known at communication points onl
     double value, change, rate; /* at the last point; its change in the last step; the rate of the step before [1/s] */
     double lowest, highest;
     double jump;   /* the largest change in a step that those around it do not have */
+    double late;   /* sum of these changes, each by the length of its step */
     double hidden; /* sum of what looks found outside of the values at both points around them */
     int64_t index; /* in the array of Real values */
 } LookedAt;
@@ -472,6 +473,7 @@ int execute(Simulation *, const Program *);
 EXPORT int32_t program_run(Simulation *, const Program *);
 int python_call(Simulation *, int32_t request, int32_t index, double t, double h);
 int component_step(Simulation *, int k, Real begin, Real length); /* begin: [s] after the start of the step */
+int component_try(Simulation *, int k, double length);
 int component_save(Simulation *, int k);
 int component_restore(Simulation *, int k, Mask);
 void set_clocks(Simulation *, Real t);

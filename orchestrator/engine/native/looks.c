@@ -20,9 +20,9 @@ static int look(Simulation *sim, Looks *p, double h) {
     p->phase += GOLDEN, p->phase -= floor(p->phase);
     int verdict = component_save(sim, p->component);
     if (verdict) return verdict;
-    verdict = component_step(sim, p->component, 0.0, h * (ENDS + (1.0 - 2.0 * ENDS) * p->phase));
+    verdict = component_try(sim, p->component, h * (ENDS + (1.0 - 2.0 * ENDS) * p->phase));
     if (!verdict) verdict = execute(sim, &p->reads);
-    p->looked = !verdict;
+    p->looked = !verdict, p->goes_back = !verdict; /* what it does not do here it tells in the step itself */
     if (verdict && verdict != DISCARDED) return verdict;
     verdict = component_restore(sim, p->component, EVERY_MACHINE);
     return verdict ? verdict : sim->check_status(0, 0, WITHDRAWN);
@@ -49,7 +49,8 @@ static void compare(LookedAt *o, double end, double h, double length) {
     const double change = end - o->value, before = fabs(o->change), rate = fabs(change) / h;
     o->lowest = smaller(o->lowest, end), o->highest = larger(o->highest, end);
     const int jumps = before > AROUND * length * larger(o->rate, rate);
-    if (jumps || outside(o, o->value, o->value - o->change, end) > 0.0) o->jump = larger(o->jump, before);
+    if (jumps || outside(o, o->value, o->value - o->change, end) > 0.0)
+        o->jump = larger(o->jump, before), o->late += before * length;
     o->rate = length > 0.0 ? before / length : 0.0, o->change = change, o->value = end;
 }
 
