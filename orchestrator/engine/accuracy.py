@@ -188,7 +188,10 @@ class AccuracySearch:
             return False
         inside = INSIDE * self.settings.tolerance
         self._error = math.hypot(max(errors, default=0.0), inside)
-        return self._error <= ACCEPTED[self.settings.repeats] * self.accuracy
+        in_vain = self._estimates and self._sources.unseen(
+            result, much=True
+        )  # no estimate will see these jumps
+        return bool(in_vain) or self._error <= ACCEPTED[self.settings.repeats] * self.accuracy
 
     def _errors(self, result: Result) -> list[float] | None:
         """The errors of the signals that decide, without an estimate as at order 1; None: unknown."""
@@ -233,7 +236,9 @@ class AccuracySearch:
             why = "further runs hardly change it" * stagnates or f"after {after}"
             settings, accepted = self._best.text, ACCEPTED[self._best.repeats] * self.accuracy
             limit = f", where {accepted:.1e} is accepted," * (progress.least <= self.accuracy)
-            reached = f"estimated RMS error {progress.least:.1e} of the range{limit} with {settings}; " * known
+            reached = (
+                f"estimated RMS error {progress.least:.1e} of the range{limit} with {settings}; " * known
+            )
             raise RunFailed(Problem(f"accuracy {self.accuracy:g}: not reached: {reached}{why}"), result)
         self._next(error)
 
@@ -377,14 +382,22 @@ class Sources:
         """Why the accuracy of a run is unknown, and where its estimate holds; else empty."""
         if self._events:
             return f"of {self._events}", "without"
-        unseen, trace = result.card.unseen, result.trace
-        jumping = [n for n, found in unseen.items() if found.hidden or n not in self._divided]
-        jumping = jumping or [n for n in self.causes if n in self.jumping or jumps(trace, n)]
+        trace = result.trace
+        jumping = self.unseen(result) or [n for n in self.causes if n in self.jumping or jumps(trace, n)]
         if jumping:
             return f"{first_names(jumping)} jumps", "without jumps"
         if self.hidden:
             return f"{first_names(self.hidden)} moves between any two points", "at the points"
         return "", ""
+
+    def unseen(self, result: Result, much: bool = False) -> list[str]:
+        """The outputs that jump inside of steps, without sources at whose jumps steps are divided.
+
+        much   only those that make the result unreliable
+        """
+        found = result.card.unseen.items()
+        jumping = (n for n, of in found if of.unreliable or not much)
+        return [n for n in jumping if n not in self._divided or result.card.unseen[n].hidden]
 
 
 def seen(values: NDArray[np.float64], most: int, part: float) -> int:

@@ -1,4 +1,4 @@
-"""`Looks`: what outputs do inside of steps, where an estimate of errors does not see it; see native/looks.c."""
+"""`Looks`: what outputs do inside of steps, where no estimate of errors sees it; see native/looks.c."""
 
 from __future__ import annotations
 

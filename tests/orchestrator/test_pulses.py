@@ -1,10 +1,11 @@
-"""Closed loops with pulses from a tenth of a step to ten steps, which nobody sees at the communication points.
+"""Closed loops with pulses from a tenth of a step to ten steps, which nobody sees at communication points.
 
-A regulator, a pulser (its share of a period is on, by width or height) and a coil; the truth is a loop in C over
-all three, 1000 times finer than a step.
+A regulator, a pulser (its share of a period is on, by width or height) and a coil; the truth is a loop in C
+over all three, 1000 times finer than a step.
 """
 
 from ctypes import CDLL, POINTER, c_double
+from itertools import product
 
 import numpy as np
 import pytest
@@ -57,12 +58,14 @@ def loop_of(folder, kind, parameters):
 
 def verdict(system, truth, mode):
     """Met, refused, unknown or told; else silent, with what is off."""
+    rows = ROWS // 5 if mode == "accuracy" else ROWS  # it takes up to ten runs
+    truth = truth[:rows]
     try:
-        result = run(system, stop=STEP * (ROWS - 1), isolate=False, **SIGNALS[mode])
+        result = run(system, stop=STEP * (rows - 1), isolate=False, **SIGNALS[mode])
     except RunFailed as failed:
         return "refused" if "not reached" in str(failed) else str(failed)
-    found = np.stack([np.interp(STEP * np.arange(ROWS), result.time, result[n]) for n in SEEN], axis=1)
-    span, settled = np.ptp(truth, axis=0), slice(ROWS // 2, None)
+    found = np.stack([np.interp(STEP * np.arange(rows), result.time, result[n]) for n in SEEN], axis=1)
+    span, settled = np.ptp(truth, axis=0), slice(rows // 2, None)
     off = np.max(np.abs(found[settled].mean(axis=0) - truth[settled].mean(axis=0)) / span)
     rms = np.max(np.sqrt(np.square(found - truth).mean(axis=0)) / span)
     told = any("p.y0" in note and ("inside of steps" in note or "not known" in note) for note in result.notes)
@@ -71,13 +74,13 @@ def verdict(system, truth, mode):
     return "told" if told else "met" if fine else f"SILENT: mean {off:.2g}, RMS {rms:.2g}"
 
 
-@pytest.mark.parametrize("mode", SIGNALS)
-@pytest.mark.parametrize("seed", shards.few([1, 2, 3, 6, 9], range(200), shards.search))
+QUICK = [*product((2, 3, 9), SIGNALS), (1, "default"), (6, "estimate")]
+
+
+@pytest.mark.parametrize(("seed", "mode"), shards.few(QUICK, product(range(200), SIGNALS), shards.search))
 def test_no_pulse_is_silent(seed, mode, tmp_path):
     """Random loops, of FMUs of each kind: told, rich, plain and poor."""
     parameters, kind = drawn(seed), KINDS[(seed // 2) % 4]
-    if mode == "accuracy" and kind in ("plain", "poor") and seed < 10:
-        kind = "rich"  # the others take ten runs
     assert "SILENT" not in verdict(loop_of(tmp_path, kind, parameters), solved(parameters), mode)
 
 
@@ -92,6 +95,8 @@ def test_a_chopper_of_one_period_a_step_is_not_reliable(kind, tmp_path):
     assert result.notes[0].startswith("jumps inside of steps, which other FMUs do not see in time: p.y0; ")
     assert not result.reliable
     assert abs(result["r.y0"][300:].mean() - truth[300:, 0].mean()) > 0.1  # of 0.26
+    if kind != "rich":
+        return
     fine = run(system, stop=0.5, step=1e-5, isolate=False)
     assert fine.reliable
     assert "jumps inside of steps, with effects up to a step late: p.y0" in fine.notes
@@ -125,5 +130,5 @@ def test_a_refusal_below_the_accuracy_has_the_limit(tmp_path):
             assert not search.accepts(result)
             search.choose_stricter(result)
 
-    told = "accuracy 0.01: not reached: estimated RMS error 6.6e-03 of the range, where 6.0e-03 is accepted, with"
+    told = "accuracy 0.01: not reached: estimated RMS error 6.6e-03 of the range, where 6.0e-03 is accepted,"
     assert problem(refused).startswith(told)
