@@ -9,7 +9,7 @@ import numpy as np
 from orchestrator.base.text import first_names, grouped
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.network import Network
-from orchestrator.engine.result import Unseen
+from orchestrator.engine.result import FLOOR, LEAST_RANGE, Unseen
 from orchestrator.fmi.calls import Slave, calls_by_type
 from orchestrator.fmi.interface import MODEL_EXCHANGE
 from orchestrator.ssp.dependencies import untold_outputs
@@ -64,9 +64,10 @@ class Looks:
         seen = {}
         for looks, (name, ports) in zip(self._structs, self.components.items(), strict=False):
             for port, at in zip(ports, self._at[name], strict=False):
-                span, hidden = at.highest - at.lowest, at.hidden / max(looks.count, 1)
+                least = LEAST_RANGE * abs(self._network.system.variable(port).nominal or 0.0)
+                span, hidden = max(at.highest - at.lowest, least, FLOOR), at.hidden / max(looks.count, 1)
                 hidden *= hidden > LEAST_HIDDEN * span
-                if span > 0.0 and (hidden or at.jump > LEAST_JUMP * span):
+                if hidden or at.jump > LEAST_JUMP * span:
                     seen[str(port)] = Unseen(hidden / span, at.late / (elapsed * span))
         return seen
 

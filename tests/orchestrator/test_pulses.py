@@ -81,7 +81,8 @@ QUICK = [*product((2, 3, 9), SIGNALS), (1, "default"), (6, "estimate")]
 def test_no_pulse_is_silent(seed, mode, tmp_path):
     """Random loops, of FMUs of each kind: told, rich, plain and poor."""
     parameters, kind = drawn(seed), KINDS[(seed // 2) % 4]
-    assert "SILENT" not in verdict(loop_of(tmp_path, kind, parameters), solved(parameters), mode)
+    found = verdict(loop_of(tmp_path, kind, parameters), solved(parameters), mode)
+    assert found in ("met", "refused", "told")
 
 
 CHOPPER = {"p": (24, 1e-3, 0.3, 0), "c": (2, 0.04), "r": (0.05, 3.0, 3.0)}
