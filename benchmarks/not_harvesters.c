@@ -15,9 +15,9 @@ static const double MICRO = 5e-5, PI = 3.14159265358979323846;
 
 static const char *MODELS[] = {"spring_mass", "mass", "cell", "wave", "pulse", "pwm", "chopper", "coil", "lag", "rectifier",
                                "controller", "pendulum", "delay", "relay", "actuator", "motor", "gear", "heater", "room",
-                               "sum", "cubic", "slider", "belt", "ball", "floor", "lorenz_x", "lorenz_yz"};
+                               "sum", "cubic", "slider", "belt", "ball", "floor", "lorenz_x", "lorenz_yz", "pulser", "regulator"};
 enum { SPRING_MASS, MASS, CELL, WAVE, PULSE, PWM, CHOPPER, COIL, LAG, RECTIFIER, CONTROLLER, PENDULUM, DELAY, RELAY, ACTUATOR,
-       MOTOR, GEAR, HEATER, ROOM, SUM, CUBIC, SLIDER, BELT, BALL, FLOOR, LORENZ_X, LORENZ_YZ, COUNT };
+       MOTOR, GEAR, HEATER, ROOM, SUM, CUBIC, SLIDER, BELT, BALL, FLOOR, LORENZ_X, LORENZ_YZ, PULSER, REGULATOR, COUNT };
 
 typedef struct {
     int model;
@@ -25,6 +25,12 @@ typedef struct {
     int filled;
     double times[PAST], values[PAST];
 } Fmu;
+
+/* Height, period, share, and whether the input is the height or the share; each period begins with the pulse. */
+static double pulse(const double *p, double t, double u) {
+    const double phase = t / p[1] + 1e-9, share = p[3] > 0 ? p[2] : u;
+    return phase - floor(phase) < share ? (p[3] > 0 ? u * p[0] : p[0]) : 0.0;
+}
 
 static int within_period(double t, double period, double share) {
     const double phase = t / period + 1e-9;
@@ -104,6 +110,8 @@ static void evaluate(const Fmu *m, double t, const double *x, const double *u, d
         y[0] = x[0], y[1] = x[1];
         dx[0] = u[0] * (28.0 - x[1]) - x[0], dx[1] = u[0] * x[0] - 8.0 / 3.0 * x[1];
         break;
+    case PULSER: y[0] = pulse(p, t, u[0]), dx[0] = -x[0]; break;
+    case REGULATOR: y[0] = p[0] * (p[2] - u[0]) + x[0], dx[0] = p[1] * (p[2] - u[0]); break; /* P, I, set point */
     default: break;
     }
 }
@@ -368,5 +376,20 @@ void solve(int k, double *x, int watched, double h, int rows, double *out) {
             joined(k, t + C[i] * h, t + 0.5 * h, z, &d, a[i]);
         }
         for (int l = 0; l < 6; l++) x[l] += h / 6 * (a[0][l] + 2 * a[1][l] + 2 * a[2][l] + a[3][l]);
+    }
+}
+
+/* A regulator, a pulser and a coil as one; out: share or height of the pulses, and the current, at `rows` points, `steps`
+ * Euler steps of h [s] apart */
+void loop(const double *regulator, const double *pulser, const double *coil, double h, int steps, int rows, double *out) {
+    double sum = 0.0, current = 0.0;
+    for (int n = 0; n < rows; n++) {
+        for (int i = 0; i <= steps; i++) {
+            const double error = regulator[2] - current, u = regulator[0] * error + sum;
+            if (!i) out[2 * n] = u, out[2 * n + 1] = current;
+            if (i == steps) break;
+            sum += h * regulator[1] * error;
+            current += h * (pulse(pulser, h * ((double)n * steps + i + 0.5), u) - coil[0] * current) / coil[1];
+        }
     }
 }

@@ -72,6 +72,7 @@ MODELS: Mapping[str, tuple[int, Sequence[str], int]] = {
     "cubic": (2, ("u0 u1",), 0),
     "slider": (1, ("x0", "x1"), 2), "belt": (1, ("u0",), 0), "ball": (1, ("x0", "x1"), 2),
     "floor": (2, ("u0 u1",), 0), "lorenz_x": (1, ("x0",), 1), "lorenz_yz": (1, ("x0", "x1"), 2),
+    "pulser": (1, ("u0",), 1), "regulator": (1, ("u0 x0",), 1),
 }  # fmt: skip
 
 

@@ -188,7 +188,10 @@ class AccuracySearch:
             return False
         inside = INSIDE * self.settings.tolerance
         self._error = math.hypot(max(errors, default=0.0), inside)
-        return self._error <= ACCEPTED[self.settings.repeats] * self.accuracy
+        in_vain = self._estimates and self._sources.unseen(
+            result, much=True
+        )  # no estimate will see these jumps
+        return bool(in_vain) or self._error <= ACCEPTED[self.settings.repeats] * self.accuracy
 
     def _errors(self, result: Result) -> list[float] | None:
         """The errors of the signals that decide, without an estimate as at order 1; None: unknown."""
@@ -207,7 +210,7 @@ class AccuracySearch:
         """The accepted result with a note on its accuracy."""
         last = f" in run {self.runs}" * (self.runs > 1)
         reached = f"estimated RMS error {self._error:.1e} of the range{last}"
-        reason, where = self._sources.reason(result.trace)
+        reason, where = self._sources.reason(result)
         if reason:
             reached = f"not known, because {reason}; {where}: {reached}"
         goal = f"accuracy {self.accuracy:g} of {first_names(self.decisive)}"
@@ -231,8 +234,11 @@ class AccuracySearch:
         if stagnates or late or shortest or self.runs >= MOST_RUNS:
             after = f"{self._given['time_limit']:g} s" if late else f"{self.runs} runs"
             why = "further runs hardly change it" * stagnates or f"after {after}"
-            settings = self._best.text
-            reached = f"estimated RMS error {progress.least:.1e} of the range with {settings}; " * known
+            settings, accepted = self._best.text, ACCEPTED[self._best.repeats] * self.accuracy
+            limit = f", where {accepted:.1e} is accepted," * (progress.least <= self.accuracy)
+            reached = (
+                f"estimated RMS error {progress.least:.1e} of the range{limit} with {settings}; " * known
+            )
             raise RunFailed(Problem(f"accuracy {self.accuracy:g}: not reached: {reached}{why}"), result)
         self._next(error)
 
@@ -326,6 +332,8 @@ class Sources:
         ports = influential_outputs(system)
         seen_at_jumps = estimated and divided
         self.causes = [str(p) for p in ports if not (seen_at_jumps and followed(system, p))]
+        fed = {name for name, component in system.components.items() if component.interface.of("input")}
+        self._divided = {str(p) for p in ports if p.component not in fed}.difference(self.causes)
         self.jumping, self.hidden = set[str](), list[str]()
         self._events = influential_events(system)
         known = estimated and all(followed(system, port) for port in ports)
@@ -370,16 +378,26 @@ class Sources:
                 self.longest = min(self.longest, (samples - 1) * spacing)
         self.jumping = {name for name in trace.signals if jumps(trace, name)}
 
-    def reason(self, trace: Trace) -> tuple[str, str]:
-        """Why the accuracy of a run with this trace is unknown, and where its estimate holds; else empty."""
+    def reason(self, result: Result) -> tuple[str, str]:
+        """Why the accuracy of a run is unknown, and where its estimate holds; else empty."""
         if self._events:
             return f"of {self._events}", "without"
-        jumping = [n for n in self.causes if n in self.jumping or jumps(trace, n)]
+        trace = result.trace
+        jumping = self.unseen(result) or [n for n in self.causes if n in self.jumping or jumps(trace, n)]
         if jumping:
             return f"{first_names(jumping)} jumps", "without jumps"
         if self.hidden:
             return f"{first_names(self.hidden)} moves between any two points", "at the points"
         return "", ""
+
+    def unseen(self, result: Result, much: bool = False) -> list[str]:
+        """The outputs that jump inside of steps, without sources at whose jumps steps are divided.
+
+        much   only those that make the result unreliable
+        """
+        found = result.card.unseen.items()
+        jumping = (n for n, of in found if of.unreliable or not much)
+        return [n for n in jumping if n not in self._divided or result.card.unseen[n].hidden]
 
 
 def seen(values: NDArray[np.float64], most: int, part: float) -> int:

@@ -28,6 +28,8 @@ from orchestrator.engine.result import (
     relative_errors,
     unreliable_energies,
     unreliable_errors,
+    unreliable_outputs,
+    unseen_notes,
 )
 from orchestrator.engine.scenario import (
     Scenario,
@@ -241,7 +243,8 @@ class Job:
             simulated=simulated,
             adaptive=adaptive,
             warnings=(*self.system.warnings, *(line for log in end.logs for line in log.warnings(sink))),
-            notes=(*self.system.notes, *left_out, *end.notes),
+            notes=(*self.system.notes, *left_out, *end.notes, *unseen_notes(end.unseen)),
+            unseen=end.unseen,
             errors=errors,
             errors_of_inputs=bool(end.errors),
             **{name: getattr(end, name) for name in same},
@@ -249,7 +252,8 @@ class Job:
         divisible = guarded(self.system, Coupling("hermite"))  # which has a guard by default
         unguarded = divisible and not self.coupling.estimates_error and not self.coupling.method.step
         energies = unreliable_energies(end.bonds, DIVIDED if unguarded else SHORTER)
-        return card.doubted(*energies, *unreliable_errors(errors, self.system))
+        unseen = unreliable_outputs(end.unseen)
+        return card.doubted(*energies, *unreliable_errors(errors, self.system), *unseen)
 
     def stricter(self) -> Job:
         """The same adaptive run at a tenth of its tolerance."""

@@ -236,6 +236,23 @@ class BondEnergy:
 
 
 @dataclass(frozen=True)
+class Unseen:
+    """What an output that jumps does inside of steps, as a mean over the run, over its range.
+
+    hidden   what is outside of the values at both ends of a step, beyond a tenth of the range
+    late     changes by jumps, which other FMUs see up to a step late
+    """
+
+    hidden: float
+    late: float
+
+    @property
+    def unreliable(self) -> bool:
+        """Is it so much that the result is not reliable?"""
+        return self.hidden + self.late > UNRELIABLE
+
+
+@dataclass(frozen=True)
 class EstimatedError:
     """The estimated error of one output over a run, in its unit: root mean square, and largest magnitude."""
 
@@ -303,6 +320,7 @@ class Card(RunFigures):
     adaptive      tolerance of an adaptive run; None: all steps are equal
     errors        of signals; errors_of_inputs: estimated during the run, else changes in further runs
     events        of FMUs
+    unseen        output -> what it does inside of steps
     """
 
     record_step: float = 0.0
@@ -313,6 +331,7 @@ class Card(RunFigures):
     errors_of_inputs: bool = False
     events: tuple[Event, ...] = ()
     texts: tuple[tuple[float, str, str], ...] = ()
+    unseen: Mapping[str, Unseen] = field(default_factory=dict)
 
     def doubted(self, *reasons: str) -> Card:
         """This card with reasons why the result is not reliable."""
@@ -409,6 +428,7 @@ class RunEnd:
     t             simulated until this time [s]
     steps, ...    as in `Card`
     errors        estimated during the run, by output
+    unseen        output -> what it does inside of steps
     events        that were handled, by time
     logs          messages of the FMUs
     notes         remarks on the run
@@ -427,6 +447,7 @@ class RunEnd:
     bonds: tuple[BondEnergy, ...] = ()
     errors: Mapping[str, EstimatedError] = field(default_factory=dict)
     inside: Mapping[str, float] = field(default_factory=dict)
+    unseen: Mapping[str, Unseen] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     texts: tuple[tuple[float, str, str], ...] = ()
     logs: tuple[Log, ...] = ()
@@ -465,6 +486,19 @@ def unreliable_energies(bonds: Sequence[BondEnergy], advice: str = SHORTER) -> l
         f" reliable, {advice}"
         for b in bonds_above(bonds, UNRELIABLE)
     ]
+
+
+def unseen_notes(unseen: Mapping[str, Unseen]) -> list[str]:
+    """A line on the outputs that jump, or have short pulses, inside of steps."""
+    names = first_names(name for name, found in unseen.items() if not found.unreliable)
+    return [f"jumps inside of steps, with effects up to a step late: {names}"] * bool(names)
+
+
+def unreliable_outputs(unseen: Mapping[str, Unseen]) -> list[str]:
+    """A line on the outputs that jump so much that the result is not reliable."""
+    names = first_names(name for name, found in unseen.items() if found.unreliable)
+    told = f"jumps inside of steps, which other FMUs do not see in time: {names}"
+    return [f"{told}; the result is not reliable, take much shorter steps"] * bool(names)
 
 
 def unreliable_errors(errors: Sequence[SignalError], system: System) -> list[str]:

@@ -30,6 +30,7 @@ from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.events import Instants
 from orchestrator.engine.job import ENDS_EARLY, Job, guarded, open_slave
 from orchestrator.engine.linear_system import ErrorPropagation, LinearPrediction
+from orchestrator.engine.looks import Looks
 from orchestrator.engine.network import Network, initialise
 from orchestrator.engine.own_master import Components
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
@@ -91,6 +92,8 @@ def run_job(
         loop.recorder.finish()
         if loop.errors:
             loop.errors.collect(sink)
+        if "accuracy" not in job.options:  # which compares runs
+            loop.notes += loop.looks.notes
         if loop.state.pause < np.inf:
             loop.notes += (f"no state is saved: the run ended before t = {loop.state.pause:.9g} s",)
         state, network = loop.state, loop.network
@@ -104,6 +107,7 @@ def run_job(
             bonds=tuple(loop.energy.energies()),
             errors=loop.errors.errors() if loop.errors else {},
             inside=loop.inside,
+            unseen=loop.looks.found(state.t - job.times.start),
             events=loop.events,
             texts=tuple(network.texts.changes),
             logs=tuple(copy(s.log) for s in network.slaves.values()),
@@ -303,9 +307,8 @@ class SimulationLoop:
         self._control = step_control(job)
         self._components = [*network.components.values()]
         self._threads_undecided = not (plan.sequential or master.step) and len(self._components) > 1
-        self._instants = None
-        if network.with_events:
-            self._instants = Instants(network, inputs, job, sink)
+        self._instants = Instants(network, inputs, job, sink) if network.with_events else None
+        self.looks = Looks(network, looked=not (network.with_events or master.step))
         self._fill(prediction)
         if estimate and not master.step:
             errors = ErrorPropagation(network, inputs, max(job.times.every, FEWEST_STEPS))
@@ -438,6 +441,7 @@ class SimulationLoop:
         self._fill_plan(order, prediction)
         self.recorder.fill(binding)
         self.energy.fill(binding)
+        self.looks.fill(binding)
         if self._instants:
             self._instants.fill()
             binding.instant, binding.inside = self._instants, self._instants.inside
@@ -460,10 +464,10 @@ class SimulationLoop:
         saves = iterates or repeats or self._instants is not None
         pairs = [(c, c.slave.interface) for c in self._components]
         for c, interface in pairs:
-            c.struct.rollback = saves and interface.rollback
+            c.struct.rollback = interface.rollback and (saves or c.slave.name in self.looks.go_back)
             c.struct.halved = self._plan.halves and c.struct.substeps == 1 and interface.variable_step
         self.state.saves = saves
-        self.state.rollback = all(c.struct.rollback and i.variable_step for c, i in pairs)
+        self.state.rollback = saves and all(c.struct.rollback and i.variable_step for c, i in pairs)
 
     def _fill_plan(self, order: Sequence[int], prediction: LinearPrediction | None) -> None:
         """Fill the plan, the coupling inputs, and the calls between the steps of two components."""

@@ -174,6 +174,21 @@ def late_notes(system: System, coupling: "Coupling") -> tuple[str, ...]:
     return (note + "".join([f", because {name} {why}{more}" for name, why in reasons.items()][:1]),)
 
 
+@of_structure
+def untold_outputs(system: System) -> tuple[Port, ...]:
+    """Continuous outputs that influence a state, and may do anything between two communication points.
+
+    Those of components that feed a rate input do not: they are made to be followed inside a step.
+    """
+    rates = {*system.rate_ports.values()}
+    told = {c.source.component for c in system.connections if c.target in rates}
+    sources = dict.fromkeys(c.source for c in _influential_wires(system) if system.is_continuous(c))
+    models = {name: component.interface.model for name, component in system.components.items()}
+    return tuple(
+        p for p in sources if p.component not in told and p.variable not in models[p.component].noisy_outputs
+    )
+
+
 def influential_events(system: System) -> str:
     """The events that may influence a state of another FMU; or nothing."""
     having = {name for name, component in system.components.items() if component.interface.has_events}

@@ -37,6 +37,8 @@ ABLE = {
     "equal steps": {"able": {"canHandleVariableCommunicationStepSize": "false"}, "even": 1},
 }
 
+BLIND = "not looked at inside of steps, because the FMUs cannot step to a time there and back: "
+
 
 def expected(quirk: str, fmi: int, master: Coupling) -> list[str]:
     """The expected notes of the card."""
@@ -62,7 +64,8 @@ def test_masters_do_without(each, both, quirk, master):
     """Every master runs, called by C and by Python, with notes on missing abilities, and stays accurate."""
     result = both(circle(each, quirk.replace(" ", "_"), **ABLE[quirk]), master=master).result
     if master != PREDICTING:
-        assert list(result.card.notes) == expected(quirk, each.fmi, master)
+        unseen = [BLIND + "q.y"] if quirk in ("no rollback", "equal steps") else []
+        assert list(result.card.notes) == expected(quirk, each.fmi, master) + unseen
     error = np.abs(result.trace["q.y"] - np.sin(result.trace.time)).max()
     # the first neglected term of a polynomial of degree k - 1 is at most h^k / 2 here, where all
     # derivatives are at most 1; what holds a mean or has one pass only keeps an order of 3 at worst

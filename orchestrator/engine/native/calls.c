@@ -215,16 +215,14 @@ int linearise(Simulation *sim, const JacobianColumn *columns, int32_t count, dou
     return CONTINUE;
 }
 
-int component_step(Simulation *sim, int k, Real begin, Real length) {
+enum { WARNING_STATUS = 1, FATAL_STATUS = 4 }; /* in FMI 2.0 and 3.0 */
+
+/* Lets an FMU step; returns its status. */
+static int do_step(Simulation *sim, int k, double t, double length) {
     Component *p = &sim->components[k];
-    const double t = sim->t + begin;
+    int status;
     p->clock[0] = p->clock[1] = t;
     p->clock[2] = t + length;
-    if (!p->do_step) {
-        const int verdict = python_call(sim, STEP, k, t, length);
-        return verdict == AT_EVENT ? event_reached(sim, p, sim->reached, 1) : verdict;
-    }
-    int status, verdict = CONTINUE;
     *p->call = STEP;
     if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->instance, t, length, p->never_restored);
     else
@@ -232,6 +230,20 @@ int component_step(Simulation *sim, int k, Real begin, Real length) {
                                        p->early, p->last);
     *p->call = 0;
     if (!rounds_to_nearest()) environment_restore(sim, NULL, k);
+    return status;
+}
+
+int component_step(Simulation *sim, int k, Real begin, Real length) {
+    Component *p = &sim->components[k];
+    const double t = sim->t + begin;
+    int verdict = CONTINUE;
+    if (!p->do_step) {
+        p->clock[0] = p->clock[1] = t;
+        p->clock[2] = t + length;
+        verdict = python_call(sim, STEP, k, t, length);
+        return verdict == AT_EVENT ? event_reached(sim, p, sim->reached, 1) : verdict;
+    }
+    const int status = do_step(sim, k, t, length);
     if (p->events && status < DISCARD && p->flags && *p->flags) {
         const uint8_t *event = p->event, *terminate = p->terminate, *early = p->early;
         const double reached = *early ? *(const double *)p->last : t + length;
@@ -240,6 +252,19 @@ int component_step(Simulation *sim, int k, Real begin, Real length) {
     }
     if (status || (p->flags && *p->flags)) verdict = sim->check_status(0, k, status);
     return verdict == AT_EVENT ? event_reached(sim, p, sim->reached, 1) : verdict;
+}
+
+/* A step from which the component goes back: DISCARDED if it is not complete, whatever the reason. */
+int component_try(Simulation *sim, int k, double length) {
+    Component *p = &sim->components[k];
+    if (!p->do_step) {
+        const int verdict = component_step(sim, k, 0.0, length);
+        return verdict && verdict != ABORT ? DISCARDED : verdict;
+    }
+    const int status = do_step(sim, k, sim->t, length);
+    const uint8_t *terminate = p->terminate, *early = p->early;
+    if (status == FATAL_STATUS) return sim->check_status(0, k, status);
+    return status > WARNING_STATUS || (p->flags && (*terminate || *early)) ? DISCARDED : CONTINUE;
 }
 
 int component_save(Simulation *sim, int k) {

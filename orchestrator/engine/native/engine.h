@@ -375,6 +375,26 @@ typedef struct Events {
     double near, until; /* length of a last part of a step, and its end: an event is asked for there only [s] */
 } Events;
 
+typedef struct LookedAt { /* an output that is known at communication points only, see looks.c */
+    double value, change, rate; /* at the last point; its change in the last step; the rate of the step before [1/s] */
+    double lowest, highest;
+    double jump;   /* the largest change in a step that those around it do not have */
+    double late;   /* sum of these changes, each by the length of its step */
+    double hidden; /* sum of what looks found outside of the values at both points around them */
+    int64_t index; /* in the array of Real values */
+} LookedAt;
+
+typedef struct Looks { /* at the outputs of a component */
+    Program reads;  /* get the outputs into `inside` */
+    double *inside; /* values of the last look */
+    LookedAt *at;
+    double phase; /* of the last look: a part of the step */
+    int64_t count, next; /* looks that were compared; step of the next one */
+    int32_t component, outputs;
+    int32_t goes_back; /* the component can step to a time inside the step, and back */
+    int32_t looked;    /* in the present step */
+} Looks;
+
 typedef struct Pool Pool;
 
 typedef struct Simulation {
@@ -398,6 +418,8 @@ typedef struct Simulation {
     Scenario *scenario;           /* NULL without one */
     LinearPrediction *prediction; /* NULL if the plan has none */
     ErrorPropagation *errors;     /* NULL if the error is not estimated */
+    Looks *looks;
+    int32_t look_count;
     EnergyMonitor energy;
     Recorder recorder;
     Events events;
@@ -458,6 +480,7 @@ int execute(Simulation *, const Program *);
 EXPORT int32_t program_run(Simulation *, const Program *);
 int python_call(Simulation *, int32_t request, int32_t index, double t, double h);
 int component_step(Simulation *, int k, Real begin, Real length); /* begin: [s] after the start of the step */
+int component_try(Simulation *, int k, double length);
 int component_save(Simulation *, int k);
 int component_restore(Simulation *, int k, Mask);
 void set_clocks(Simulation *, Real t);
@@ -548,6 +571,11 @@ int component_set_inputs(Simulation *, Component *, Real begin, Real length, int
 int component_advance(Simulation *, int k, Real h, double *counter);
 void set_source_ends(Simulation *, Real h);
 Real step_error(const Simulation *, Real h);
+
+/* looks.c */
+int looks_take(Simulation *, double h);
+void looks_compare(Simulation *, double h);
+void looks_begin(Simulation *);
 
 /* events.c */
 void event_try(Simulation *);

@@ -184,6 +184,9 @@ static void accept_input(CouplingInput *s, Real h, Mask machines) {
 static int accept(Simulation *sim, Real h, Mask machines) {
     const int verdict = sim->errors ? error_propagate(sim, h) : CONTINUE;
     if (verdict) return verdict;
+#if WIDTH == 1
+    looks_compare(sim, h);
+#endif
     for (int32_t i = 0; i < sim->input_count; i++) accept_input(&sim->inputs[i], h, machines);
     if (sim->prediction) sim->prediction->valid = 0;
     add_energy(sim, h, machines);
@@ -196,7 +199,11 @@ static int accept(Simulation *sim, Real h, Mask machines) {
 static int try_step(Simulation *sim, Real h, Mask *done) {
     int passes = 0;
     *done = NO_MACHINE;
-    int verdict = sim->saves ? save_states(sim) : CONTINUE;
+    int verdict = CONTINUE;
+#if WIDTH == 1
+    verdict = looks_take(sim, h);
+#endif
+    if (!verdict && sim->saves) verdict = save_states(sim);
     if (verdict) return verdict;
 #if WIDTH == 1
     const double end = sim->end;
@@ -260,6 +267,9 @@ static int restart(Simulation *sim, Mask machines) {
     sim->length_before = where(machines, 0.0, sim->length_before);
     const int verdict = begin_inputs(sim, machines);
     begin_energy(sim, machines);
+#if WIDTH == 1
+    looks_begin(sim);
+#endif
     for (int i = 0; i < WIDTH && sim->step_size; i++)
         if (chosen(machines, i)) step_size_begin(&sim->step_size[i]);
     if (sim->errors) error_jump(sim->errors);
@@ -344,6 +354,7 @@ int32_t simulation_begin(Simulation *sim) {
     if (sim->scenario) sim->scenario->since = sim->t;
     begin_energy(sim, EVERY_MACHINE);
 #if WIDTH == 1
+    looks_begin(sim);
     sim->events.present = sim->events.used || sim->events.real_count || sim->events.integer_count;
     event_values(sim);
     sim->events.instant = sim->t;
