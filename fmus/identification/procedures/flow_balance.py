@@ -31,7 +31,7 @@ from fmus.identification import balance
 from fmus.identification.balance import Law, Samples
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.momentum_balance import MeasuredArm, at, smoothing
-from fmus.identification.procedures.procedure import Fit, Parts, Procedure, Recordings, misfit
+from fmus.identification.procedures.procedure import Contradicted, Fit, Parts, Procedure, Recordings, misfit
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.results import BAR, Estimate, Finding, Panel
 from fmus.parameters import Number
@@ -185,7 +185,7 @@ class Function:
         def fitting(fit: Fit) -> None:
             if (times := fit.solution.fit.times_noise) > ANOTHER:
                 told = f"residuals of {times:.3g} times the noise, expected {ANOTHER:g} at most"
-                raise Problem(f"{told}: another kind of valve, such as a compensated section")
+                raise Contradicted(f"{told}: another kind of valve, such as a compensated section")
 
         def estimates(fit: Fit) -> Iterator[Estimate]:
             for n, (_, unit) in self.start.items():
