@@ -175,7 +175,9 @@ class Crane:
         links = [f"manipulator.{n}" for n in names]
         friction = {j: [n for n in (arm.damping(j),) if n in self.known] for j in arm.cylinders}
         start = {n: self.known[n].value for n in [*links, *(n for some in friction.values() for n in some)]}
-        dry, offsets = ({f"{j} {n}": 0.0 for j in arm.cylinders} for n in (momentum.DRY, momentum.OFFSET))
+        further = momentum.DRY, momentum.OFFSET, momentum.RIPPLE
+        dry, offsets, ripple = ({f"{j} {n}": 0.0 for j in arm.cylinders} for n in further)
+        commands = {f.joint: f.parameter("command") for f in self.functions}
         readings = [n for j in arm.cylinders for n in arm.pressures[j]]
 
         def parts(tests: Recordings, _: object) -> Parts:
@@ -184,8 +186,11 @@ class Crane:
                 own = arm.angles[arm.index(j)], *arm.pressures[j]
                 if {*own} <= r.signals.keys() and all(moved(r, n) for n in own):
                     theta = (*links, *friction[j])
-                    s = momentum.joint_samples(r, j, theta, p, slow=SLOW, rounding=ROUNDING, arm=arm)
-                    further = (f"{j} {momentum.DRY}", f"{j} {momentum.OFFSET}")
+                    u = commands[j] if commands[j] in r.signals and moved(r, commands[j]) else ""
+                    s = momentum.joint_samples(
+                        r, j, theta, p, slow=SLOW, rounding=ROUNDING, arm=arm, command=u
+                    )
+                    further = (f"{j} {n}" for n in s.law.unknowns[len(theta) :])
                     found.append(data.with_course(r, replace(s, names=(*theta, *further))))
             if not found:
                 raise NotAsked("expected a cylinder that moves, with readings of both pressures, got none")
@@ -227,7 +232,7 @@ class Crane:
             signals={n: arm.signals[n] for n in arm.angles},
             law="The momentum balance of the cylinders",
             samples=parts,
-            start=lambda _: start | dry | offsets,
+            start=lambda _: start | dry | offsets | ripple,
             tested=[*offsets],
             priors={n: PRIOR * x for n, x in start.items()},
             limits=lambda tests: data.zero_limits(

@@ -12,7 +12,7 @@ from fmus.crane.description import read
 from fmus.crane.machine import crane_build, crane_machine
 from fmus.identification.crane import Crane, identify, keys, run
 from fmus.identification.procedures.flow_balance import EDGES
-from fmus.identification.procedures.procedure import Contradicted, NotAsked
+from fmus.identification.procedures.procedure import Contradicted, Fit, NotAsked, delay_of, solve
 from fmus.identification.results import Estimate, ProcedureResult
 from fmus.machine.machine import wiring
 from fmus.monolith import join
@@ -206,13 +206,20 @@ def test_a_log_too_short_for_the_filters_is_named(described, simulated, tmp_path
 
 def test_areas_of_another_kind_of_valve_are_refused(described, simulated, tmp_path):
     """A flow that grows with the square of the command leaves residuals far above the noise: no areas."""
-    command = simulated["boom_command"]
+    command, crane = simulated["boom_command"], Crane(described)
     other = simulated | {"boom_command": np.sign(command) * np.sqrt(5 * np.abs(command))}
-    report = run(described, log(other, tmp_path), tmp_path / "found.toml")
-    (told,) = (x for x in report.data["missing"] if x.startswith("boom: valve"))
-    assert "times the noise, expected 5 at most: another kind of valve" in told
-    assert "boom_valve_area" not in (tmp_path / "found.toml").read_text(encoding="utf-8")
-    assert not report.passed
+    with pytest.raises(Contradicted, match="times the noise, expected 5 at most: another kind of valve"):
+        solve(crane.functions[1].procedure, crane.read(log(other, tmp_path)), crane.known)
+
+
+@pytest.mark.parametrize(("taken", "rest", "told"), [(-0.03, -4e-4, "30 ms"), (0.0, -0.012, "12 ms")])
+def test_a_lag_of_the_spool_is_named(described, taken, rest, told):
+    """By the delay with which the fit is best: a command that acts later than it was logged."""
+    samples, late = [SimpleNamespace(rate=100.0)], ["drives.boom_command"]
+    best = type("Best", (dict,), {"times_noise": 12.0})({delay_of(late): rest})
+    fit = Fit(None, (), SimpleNamespace(fit=best, samples=samples), (), late, taken)
+    with pytest.raises(Contradicted, match=f"12 times the noise, .* with a lag of about {told}, which"):
+        Crane(described).functions[1].procedure.check(fit)
 
 
 def test_rounded_readings_have_an_error(described, simulated, tmp_path):
