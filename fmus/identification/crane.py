@@ -13,13 +13,14 @@ and boom_head_pressure, also COMPONENT.NAME or NAME_measured, as for `harvester 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from scipy import stats
 
 from fmus.crane.axes import at_start
 from fmus.crane.description import CraneDescription
@@ -196,6 +197,16 @@ class Crane:
                 raise NotAsked("expected a cylinder that moves, with readings of both pressures, got none")
             return found
 
+        def rippled(fit: Fit, fitted: Callable[[Procedure], Fit]) -> Fit:
+            """With forces that follow the command, where the data show them."""
+            of = [n for n in ripple if any(n in s.names for s in fit.solution.samples)]
+            columns = np.array([fit.solution.column(n) for n in of])
+            if not of:
+                return fit
+            values, covariance = fit.solution.effects(columns)
+            p = stats.chi2.sf(values @ np.linalg.pinv(covariance) @ values, len(of))
+            return fitted(replace(fit.procedure, tested=[*offsets])) if p < balance.UNLIKELY else fit
+
         def fitting(fit: Fit) -> None:
             if (times := fit.solution.fit.times_noise) > KNOWN:
                 told = f"residuals of {times:.3g} times the noise, expected {KNOWN:g} at most"
@@ -233,7 +244,8 @@ class Crane:
             law="The momentum balance of the cylinders",
             samples=parts,
             start=lambda _: start | dry | offsets | ripple,
-            tested=[*offsets],
+            tested=[*offsets, *ripple],
+            refined=rippled,
             priors={n: PRIOR * x for n, x in start.items()},
             limits=lambda tests: data.zero_limits(
                 tests, [n for n in readings if all(n in r.signals for r in tests)]
@@ -267,11 +279,11 @@ def _identified(
             if not used:
                 lacking = (n for n in declared.signals if not all(n in r.signals for r in tests))
                 raise NotAsked(f"no reading of {', '.join(lacking)}")
-            command, *readings = reversed(declared.signals)
-            still = [n for n in readings if not any(moved(r, n) for r in used)]
-            if still and declared.name != "masses":
-                rests = not any(moved(r, command) for r in used)
-                raise (NotAsked if rests else Problem)(f"{', '.join(still)} at rest")
+            *readings, command = declared.signals
+            rests = [n for n in readings if not any(moved(r, n) for r in used)]
+            if rests and declared.name != "masses":
+                kind = Problem if any(moved(r, command) for r in used) else NotAsked
+                raise kind(f"{', '.join(rests)} at rest")
             found.append(solve(declared, used, crane.known))
         except Problem as error:
             missing[declared.name] = error

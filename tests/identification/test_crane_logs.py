@@ -12,7 +12,7 @@ from fmus.crane.description import read
 from fmus.crane.machine import crane_build, crane_machine
 from fmus.identification.crane import Crane, identify, keys, run
 from fmus.identification.procedures.flow_balance import EDGES
-from fmus.identification.procedures.procedure import Contradicted, Fit, NotAsked, delay_of, solve
+from fmus.identification.procedures.procedure import Contradicted, Fit, NotAsked, delay_of, fit_of, solve
 from fmus.identification.results import Estimate, ProcedureResult
 from fmus.machine.machine import wiring
 from fmus.monolith import join
@@ -220,6 +220,23 @@ def test_a_lag_of_the_spool_is_named(described, taken, rest, told):
     fit = Fit(None, (), SimpleNamespace(fit=best, samples=samples), (), late, taken)
     with pytest.raises(Contradicted, match=f"12 times the noise, .* with a lag of about {told}, which"):
         Crane(described).functions[1].procedure.check(fit)
+
+
+@pytest.mark.parametrize("ripple", [6e3, -6e3])
+def test_pressures_that_follow_the_command_do_not_change_a_mass(described, simulated, tmp_path, ripple):
+    """A pressure that grows with the rate of the command [Pa.s/V] is told from the weight; masses stay."""
+    rate = np.gradient(simulated["boom_command"], simulated["time"])
+    head = simulated["drives.boom_head_pressure"] + ripple * rate
+    crane = Crane(described)
+    logs = crane.read(log(simulated | {"drives.boom_head_pressure": head}, tmp_path))
+    fit = fit_of(crane.masses, logs, crane.known)
+    # noise of the sensors: 3.5 standard deviations; areas by hand, a gradient over two samples
+    for name, expected in (
+        ("manipulator.boom_mass", TRUE["manipulator.boom_mass"]),
+        ("boom force per rate of the command", ripple * np.pi / 4 * 0.08**2),
+    ):
+        assert fit[name] == pytest.approx(expected, abs=3.5 * fit.sd(name)), name
+    assert fit.sd("manipulator.boom_mass") < 0.02 * fit["manipulator.boom_mass"]
 
 
 def test_rounded_readings_have_an_error(described, simulated, tmp_path):
