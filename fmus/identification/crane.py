@@ -368,8 +368,9 @@ def run(description: CraneDescription, logs: Path, out: Path) -> Report:
     told = _table([e for r in results for e in r.estimates])
     data = [{n: x for n, x in vars(r).items() if n != "panels"} for r in results]
     use = f"harvester build --crane {description.file} --parameters {out} takes them"
-    if wrong:
-        use = f"doubtful by the warnings; {use}"
+    against = any(isinstance(x, Contradicted) for x in missing.values())
+    if wrong or against:
+        use = f"doubtful by the {'warnings' if wrong else 'law that does not hold'}; {use}"
     verdict = f"{out}: {len(parameters)} parameters; {use}"
     known, untold = {e.name for r in results for e in r.estimates}, (Contradicted, NotAsked)
     lost = any(not isinstance(x, untold) for x in missing.values())
@@ -383,7 +384,7 @@ def run(description: CraneDescription, logs: Path, out: Path) -> Report:
         verdict,
         [told, Text(left, only=TERMINAL), Text(wrong, "warn"), *sections],
         {"results": data, "missing": why, "doubtful": little or lost},
-        not (wrong or little or lost or any(isinstance(x, Contradicted) for x in missing.values())),
+        not (wrong or little or lost or against),
     )
 
 

@@ -356,6 +356,9 @@ def test_a_procedure_without_a_result_is_a_state(
     monkeypatch.setattr("fmus.identification.crane.solve", solved)
     report = run(described, log(simulated, tmp_path), tmp_path / "found.toml")
     assert (report.passed, report.data["doubtful"]) == (passed, doubtful)
+    assert ("doubtful by the law that does not hold; harvester build" in report.verdict) == (
+        type(reason) is Contradicted
+    )
     del told[3:]
     report = run(described, log(simulated, tmp_path), tmp_path / "found.toml")
     asked = 8 if doubtful is False else 17
