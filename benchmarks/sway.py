@@ -11,7 +11,7 @@ build/harvester_control.ssp.
 import argparse
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from fmus.controller.paths import COLUMNS, Point, Route, controller_inputs, samp
 from fmus.machine.feasible import MECHANICS
 from fmus.machine.parts import MACHINES
 from fmus.machine.path_following import HARVESTER
-from fmus.machine.sway import shaped
+from fmus.machine.sway import Mode, shaped, together
 from orchestrator import Trace, load, run
 from orchestrator.base.signals import rms
 from orchestrator.ssp.swap import with_swaps
@@ -74,9 +74,9 @@ def moves(count: int, seed: int) -> list[tuple[str, Trace]]:
     return found
 
 
-def residual(kind: str, move: Trace, period: float = 0.0, damping: float = 0.0) -> tuple[float, float]:
-    """Sway after a move [rad], shaped for a period [s] if it is not 0; largest error of the tip [m]."""
-    wanted = shaped(move, NAMES.path, NAMES.velocity, period, damping) if period else move
+def residual(kind: str, move: Trace, modes: Sequence[Mode] = ()) -> tuple[float, float]:
+    """Sway after a move [rad], shaped for some modes; largest error of the tip [m]."""
+    wanted = shaped(move, NAMES.path, NAMES.velocity, modes) if modes else move
     place = [wanted[n] for n in NAMES.path]
     velocities = {n: np.gradient(x, wanted.time) for n, x in zip(NAMES.velocity, place, strict=True)}
     wanted = replace(wanted, signals={**wanted.signals, **velocities})
@@ -109,12 +109,12 @@ def main() -> None:
     print(f"{'':42s} unshaped     " + "  ".join(f"{w:+6.0%}" for w in WRONG) + "   change    error")
     for kind, swaps in KINDS.items():
         begin, system = time.monotonic(), with_swaps(load(MACHINE), swaps)
-        period, damping = MECHANICS.sway(system.components["manipulator"]) or (0.0, 0.0)
+        modes = together(MECHANICS.sway(system.components["manipulator"]))
         given = moves(args.moves, args.seed)
         for shape in ("straight", "circle"):
             chosen = [m for s, m in given if s == shape]
             free = [residual(kind, m) for m in chosen]
-            held = [[residual(kind, m, period * (1 + w), damping) for m in chosen] for w in WRONG]
+            held = [[residual(kind, m, [(t * (1 + w), z) for t, z in modes]) for m in chosen] for w in WRONG]
             before, after = (1e3 * rms(np.array([x for x, _ in f])) for f in (free, held[0]))
             each = "  ".join(f"{1e3 * rms(np.array([x for x, _ in h])):6.1f}" for h in held)
             errors = " / ".join(f"{1e3 * max(e for _, e in f):.0f}" for f in (free, held[0]))
@@ -122,7 +122,8 @@ def main() -> None:
                 f"{kind:32s} {shape:9s} {before:8.1f}     {each}   {after / before - 1:+.0%}  {errors}",
                 flush=True,
             )
-        print(f"  period {period:.2f} s, {len(given)} moves, {time.monotonic() - begin:.0f} s", flush=True)
+        periods = ", ".join(f"{t:.2f} s" for t, _ in modes)
+        print(f"  period {periods}, {len(given)} moves, {time.monotonic() - begin:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ sides, with the hoses, at the start pose; all other joints are locked:
 
 A load can be held where no piston and no motor needs more than the pressure of the supply, or of relief
 valves of its own, the other side at 0 bar. `capacity`
-computes it for a grid of poses over the strokes; passive joints hang at rest.
+computes it for a grid of poses over the strokes; passive joints hang at rest under this load.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from fmus.components.cylinder import areas, volumes
-from fmus.contract import Subsystem, Symbolic, nested, symbolic
+from fmus.contract import Scalar, Subsystem, Symbolic, nested, symbolic
 from fmus.crane.description import (
     LARGEST_LENGTH,
     CraneDescription,
@@ -48,6 +48,9 @@ POSES, MOST_STEPS = 150_000, 200  # of the grid of loads, in all and of one pist
 # of the search for the best pose with a radius: of the grid's edges, of finer grids, cells between these
 CANDIDATES, STARTS, APART, ROUNDS, CLOSER = 3000, 10, 2, 20, 0.7
 SAME = 1e-6  # of a reach
+# steps to the load under which a hanging tip is in balance: each leaves the share of the last one's error by
+# which the radii of tip and hook differ; kg that no crane lifts
+BALANCES, HEAVY = 2, 1e6
 SUPPLIES = {"lumped": "ideal", "compensated": "load_sensing"}  # of the drives whose speeds are told
 # fidelity -> speeds with the piston out and in [rad/s or m/s], and of the oil in a hose [m/s]
 Speeds: TypeAlias = Mapping[str, tuple[float, float, float]]
@@ -322,41 +325,48 @@ def modes(crane: CraneDescription, found: Sequence[AxisCheck]) -> Array:
     return np.sqrt(np.clip(squares, 0.0, None)) / (2 * math.pi)
 
 
+def _hanging(
+    start: Start, found: Sequence[AxisCheck], driven: ca.SX, mass: Scalar
+) -> tuple[ca.SX, Scalar, Scalar]:
+    """Coordinates with passive joints at rest under a payload [kg].
+
+    With the least margin of all axes to their limits there without payload [N or N.m], and the largest
+    payload [kg] that they hold.
+    """
+    of, p = start.mechanics, start.p
+    q, chain = of.at_rest(driven, mass, p), of.chain(p)
+    empty, both = (chain.equations(q, 0 * q, of.payload(m, p)).gravity for m in (0, 1))
+    margin = largest = ca.SX.inf()
+    for a in found:
+        k, name = of.index(a.joint.name), a.joint.name
+        lever = of.transmission(name, q[k], p).arm if a.joint.cylinder else 1
+        force, kilogram = empty[k] / lever, (both[k] - empty[k]) / lever
+        limit = ca.if_else(kilogram > 0, a.push - force, -a.pull - force) / kilogram
+        margin = ca.fmin(margin, ca.fmin(a.push - force, a.pull + force))
+        largest = ca.fmin(largest, ca.if_else(kilogram == 0, ca.inf, limit))  # 0: it does not carry it
+    return q, margin, ca.fmax(largest, 0)
+
+
 def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     """Loads over the strokes of all pistons; a crane without one holds no load."""
     start, axes = Start.of(crane), [a for a in found if a.joint.cylinder]
-    of, p, s, q = start.mechanics, start.p, ca.SX.sym("s", len(axes)), ca.SX(start.q)
+    of, p, s, driven = start.mechanics, start.p, ca.SX.sym("s", len(axes)), ca.SX(start.q)
     for k, a in enumerate(axes):
-        q[of.index(a.joint.name)] = s[k]
-    chain = of.chain(p)
-    q = of.at_rest(q, 0, p)
-    tip = chain.position(q, of.payload(0, p).link, of.payload(0, p).at)
-    at = [(a, of.index(a.joint.name)) for a in found]
-    arms = [of.transmission(a.joint.name, q[k], p).arm if a in axes else 1 for a, k in at]
-    forces = []
-    for mass in (0, 1):
-        gravity = chain.equations(q, 0 * q, of.payload(mass, p)).gravity
-        torques = (gravity[k] for _, k in at)
-        forces.append(ca.vertcat(*(t / arm for t, arm in zip(torques, arms, strict=True))))
-    empty, more = forces
-    results = [ca.norm_2(tip[:2]), tip[2], empty, more - empty]
-    function = ca.Function("held", [s], results, {"cse": True})
-    push, pull = (np.array([[getattr(a, n)] for a in found]) for n in ("push", "pull"))
+        driven[of.index(a.joint.name)] = s[k]
+    q, margin, load = _hanging(start, found, driven, 0)
+    turned = ca.Function("turned", [s], [of.at_rest(driven, HEAVY, p) - q])
+    ends = np.array([[a.low, a.high] for a in axes])
+    for _ in range(BALANCES if axes and np.abs(np.array(turned(ends))).max() > SAME else 0):
+        q, _, load = _hanging(start, found, driven, ca.fmin(load, HEAVY))
+    place = of.payload(0, p)
+    tip = of.chain(p).position(q, place.link, place.at)
+    results = ca.vertcat(ca.norm_2(tip[:2]), tip[2], ca.if_else(margin >= 0, load, 0) if axes else 0)
+    function = ca.Function("held", [s], [results], {"cse": True})
 
     def held(poses: Array) -> Array:
         count = math.prod(poses.shape[1:])
-        if not count:
-            return np.empty((3, 0))
-        found = function.map(count)(_flat(poses))
-        reach, height, alone, kilogram = (x.full() for x in found)
-        if not axes:
-            return np.vstack([reach, height, 0 * reach]).reshape(3)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            limits = np.where(kilogram > 0, push - alone, -pull - alone) / kilogram
-        limits[kilogram == 0] = np.inf  # an axis that does not carry the payload
-        fits = (alone <= push).all(axis=0) & (alone >= -pull).all(axis=0)
-        load = np.where(fits, limits.min(axis=0), 0.0)
-        return np.vstack([reach, height, np.clip(load, 0.0, None)]).reshape(3, *poses.shape[1:])
+        found = function.map(count)(_flat(poses)).full() if count else np.empty((3, 0))
+        return np.asarray(found.reshape(3, *poses.shape[1:]))
 
     steps = min(MOST_STEPS, int(POSES ** (1 / max(1, len(axes)))))
     return Capacity(_grid([np.linspace(a.low, a.high, steps) for a in axes]), held)

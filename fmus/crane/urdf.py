@@ -11,7 +11,7 @@ import math
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -187,11 +187,12 @@ def _imported(source: Path, target: Path) -> str:
     links, joints = robot.findall("link"), robot.findall("joint")
     names, below = Counter(x.get("name", "") for x in links), grouped(joints, lambda j: _of(j, "parent"))
     under, moving = Counter(_of(j, "child") for j in joints), [j for j in joints if j.get("type") != "fixed"]
-    roots = [n for n in names if n not in under]
+    called, roots = Counter(str(j.get("name")) for j in joints), [n for n in names if n not in under]
     if len(roots) != 1:
         raise Problem(f"{source}: expected one link without a parent, got {first_names(roots) or 'none'}")
     for expected, wrong in {
         "one link of a name": [n for n, count in names.items() if count > 1],
+        "one joint of a name": [n for n, count in called.items() if count > 1],
         "one joint to a link": [n for n, count in under.items() if count > 1],
         "links that exist": sorted((under.keys() | below.keys()) - names.keys()),
     }.items():
@@ -199,36 +200,10 @@ def _imported(source: Path, target: Path) -> str:
             raise Problem(f"{source}: {first_names(wrong)}: expected {expected}")
     if not 0 < len(moving) <= MOST_JOINTS:
         raise Problem(f"{source}: expected 1 to {MOST_JOINTS} joints that move, got {len(moving)}")
-    bodies = {x.get("name", ""): _body(x) for x in links}
-    words = _words([_of(j, "child") for j in moving])
-    leaders = {j.get("name"): words.get(_of(j, "child"), "") for j in joints}
-    tables, mistakes, notes = dict[str, dict[str, Any]](), list[str](), list[str]()
-    stack = [(roots[0], "", np.eye(3), np.zeros(3))]  # link, its table, its orientation and place in there
-    while stack:
-        link, carrier, turn, offset = stack.pop()
-        body = bodies.pop(link)
-        if carrier:
-            tables[carrier]["body"] += body.moved(turn, offset)
-        for joint in below.get(link, ()):
-            origin, child = joint.find("origin"), _of(joint, "child")
-            at, turned = offset + turn @ _numbers(origin, "xyz", "0 0 0"), turn @ _rotation(origin)
-            if joint.get("type") == "fixed":
-                stack.append((child, carrier, turned, at))
-                continue
-            try:
-                table, left_out = _table(joint, turned, leaders)
-            except Problem as problem:
-                mistakes.append(f"{source}: {joint.get('name')}: {problem}")
-                continue
-            if child != (name := words[child]):
-                left_out.append(f"the name {child} of the link")
-            tables[name] = {**table, "parent": carrier or BASE, "at": at, "left out": left_out}
-            notes += [f"note: {joint.get('name')}: left out: {text}" for text in left_out]
-            stack.append((child, name, turned, np.zeros(3)))
-    if mistakes:
-        raise Mistakes(mistakes)
-    if bodies:
-        raise Problem(f"{source}: {first_names(bodies)}: expected joints from {roots[0]} to all links")
+    bodies, words = {x.get("name", ""): _body(x) for x in links}, _words(str(j.get("name")) for j in moving)
+    tables, notes, left = _walk(source, bodies, below, words, {}, roots[0])
+    if left:
+        raise Problem(f"{source}: {first_names(left)}: expected joints from {roots[0]} to all links")
     if meshes := {x.get("filename", "") for x in robot.iter("mesh")}:
         files = first_names(sorted(meshes))
         notes.append(f"note: left out: {files}: shape of a joint takes a mesh in a binary glTF file (.glb)")
@@ -242,6 +217,71 @@ def _imported(source: Path, target: Path) -> str:
     missing = f"drive, cylinder or motor, and hydraulics of the driven ones of {', '.join(passive)}"
     told = f"{target}: {len(tables)} joints. Still missing: {missing}; [payload] at; [start]; [supply]"
     return "\n".join([told, *notes])
+
+
+def _walk(
+    source: Path,
+    links: Mapping[str, _Body],
+    below: Mapping[str, Sequence[Any]],
+    words: Mapping[str, str],
+    zeros: Mapping[str, float],
+    root: str,
+) -> tuple[dict[str, dict[str, Any]], list[str], Mapping[str, _Body]]:
+    """Tables of the joints, notes, and the links that no joint leads to; Mistakes of all joints.
+
+    words   joint -> its table
+    zeros   joint -> by what its zero is shifted [rad]
+    """
+    bodies, tables, mistakes, notes = dict(links), dict[str, dict[str, Any]](), list[str](), list[str]()
+    stack = [(root, "", np.eye(3), np.zeros(3), list[tuple[Any, Array]]())]
+    while stack:  # link, its table, its orientation and place in there; joints on the way, their axes
+        link, carrier, turn, offset, way = stack.pop()
+        body = bodies.pop(link)
+        if carrier:
+            tables[carrier]["body"] += body.moved(turn, offset)
+        for joint in below.get(link, ()):
+            origin, child, name = joint.find("origin"), _of(joint, "child"), str(joint.get("name"))
+            at, turned = offset + turn @ _numbers(origin, "xyz", "0 0 0"), turn @ _rotation(origin)
+            if joint.get("type") == "fixed":
+                stack.append((child, carrier, turned, at, [*way, (joint, np.zeros(3))]))
+                continue
+            if more := _zero(turned @ _numbers(joint.find("axis"), "xyz", "1 0 0"), way, zeros):
+                return _walk(source, links, below, words, {**zeros, **more}, root)
+            try:
+                table, texts = _table(joint, turned, words, zeros, way)
+            except Problem as problem:
+                mistakes.append(f"{source}: {name}: {problem}")
+                continue
+            about = DIRECTIONS[table["axis"]]
+            turned = Rotation.from_rotvec(-zeros.get(name, 0.0) * about).as_matrix() @ turned
+            tables[words[name]] = {**table, "parent": carrier or BASE, "at": at, "told": texts}
+            notes += [f"note: {name}: {text}" for text in texts]
+            stack.append((child, words[name], turned, np.zeros(3), [*way, (joint, about)]))
+    if mistakes:
+        raise Mistakes(mistakes)
+    return tables, notes, bodies
+
+
+def _off(axis: Array) -> tuple[int, float]:
+    """The coordinate axis that is nearest to an axis, and the angle between them [deg]."""
+    along = int(np.argmax(np.abs(axis)))
+    return along, math.degrees(math.atan2(np.linalg.norm(np.delete(axis, along)), abs(axis[along])))
+
+
+def _zero(axis: Array, way: Sequence[tuple[Any, Array]], zeros: Mapping[str, float]) -> dict[str, float]:
+    """The last joint on the way whose zero, shifted by an angle [rad], brings an axis along x, y or z.
+
+    Its link is turned about the axis of the joint itself, and all joints behind it with the link.
+    """
+    for k, (joint, about) in reversed([*enumerate(way)] if _off(axis)[1] > ALIGNED else []):
+        across = any(abs(other @ about) < np.abs(other).max() for _, other in way[k:])
+        if across or joint.get("type") in ("fixed", "prismatic") or (name := joint.get("name")) in zeros:
+            continue
+        u = np.roll(np.abs(about), 1)
+        angle = math.remainder(math.atan2(axis @ np.cross(about, u), axis @ u), math.pi / 2)
+        if _off(Rotation.from_rotvec(-angle * about).apply(axis))[1] <= ALIGNED:
+            return {name: angle}
+    return {}
 
 
 def _along_x(tables: Mapping[str, dict[str, Any]]) -> int:
@@ -270,31 +310,41 @@ def _along_x(tables: Mapping[str, dict[str, Any]]) -> int:
     return 90 * quarters
 
 
-def _table(joint: Any, turned: Array, leaders: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
-    """The keys of a joint, whose frame has this orientation, and what has none."""
+def _table(
+    joint: Any,
+    turned: Array,
+    words: Mapping[str, str],
+    zeros: Mapping[str, float],
+    way: Sequence[tuple[Any, Array]],
+) -> tuple[dict[str, Any], list[str]]:
+    """The keys of a joint, whose frame has this orientation, and sentences on what has none."""
+    name, zero = str(joint.get("name")), zeros.get(str(joint.get("name")), 0.0)
     kind, axis = joint.get("type"), turned @ _numbers(joint.find("axis"), "xyz", "1 0 0")
     if kind not in ("revolute", "continuous", "prismatic"):
         raise Problem(f"expected a revolute, prismatic or fixed joint, got {kind}")
     if not (size := float(np.linalg.norm(axis))):
         raise Problem("expected an axis, got 0 0 0")
-    along = int(np.argmax(np.abs(axis)))
-    off = math.degrees(math.atan2(np.linalg.norm(np.delete(axis, along)), abs(axis[along])))
+    along, off = _off(axis)
     if off > ALIGNED:
-        expected = "an axis along x, y or z with all joints at 0"
-        raise Problem(f"expected {expected}, up to {ALIGNED:g} deg, got {axis / size}, {off:.3g} deg off")
-    name = ("-" if axis[along] < 0 else "") + "xyz"[along]
-    left_out = [f"the {off:.2g} deg between the axis and {name}"] if off > ROUNDED else []
+        expected, got = "an axis along x, y or z with all joints at 0", np.round(axis / size, 3)
+        frames = ((j.get("name"), _rotation(j.find("origin"))) for j, _ in way)
+        oblique = [n for n, frame in frames if max(_off(x)[1] for x in frame) > ALIGNED]
+        cause = f"; the origin of {first_names(oblique)} turns it" if oblique else ""
+        raise Problem(f"expected {expected}, up to {ALIGNED:g} deg, got {got}, {off:.3g} deg off{cause}")
+    direction = ("-" if axis[along] < 0 else "") + "xyz"[along]
+    left_out = [f"the {off:.2g} deg between the axis and {direction}"] if off > ROUNDED else []
     table: dict[str, Any] = {
         "joint": "prismatic" if kind == "prismatic" else "revolute",
-        "axis": name,
+        "axis": direction,
         "body": NOTHING,
     }
     table["damping"], friction = (_number(joint.find("dynamics"), n) for n in ("damping", "friction"))
     if (mimic := joint.find("mimic")) is not None:
-        if not (leader := leaders.get(mimic.get("joint"))):
+        if not (leader := words.get(mimic.get("joint"))):
             raise Problem(f"expected mimic of a joint that exists and moves, got {mimic.get('joint')}")
         table["follows"], table["ratio"] = leader, _number(mimic, "multiplier", 1.0)
-        table["offset"] = _number(mimic, "offset")
+        of_leader = table["ratio"] * zeros.get(str(mimic.get("joint")), 0.0)
+        table["offset"] = _number(mimic, "offset") + zero - of_leader
         left_out += [f"dynamics friction {friction:g}"] if friction else []
     else:
         table["friction"] = friction
@@ -304,20 +354,28 @@ def _table(joint: Any, turned: Array, leaders: Mapping[str, str]) -> tuple[dict[
     within = -ENDS[table["joint"]] <= low < high <= ENDS[table["joint"]]
     used = {"lower", "upper"} if mimic is None and kind != "continuous" and within else set()
     if used:
-        table["stop"] = (low, high)
+        table["stop"] = (low + zero, high + zero)
     for tag in ("limit", "safety_controller"):
         given = {} if (found := joint.find(tag)) is None else found.attrib
         nothing = {n for n in ("effort", "velocity") if given.get(n) == "0"}
         others = [f"{n} {x}" for n, x in given.items() if n not in used | nothing]
         left_out += [one_line(" ".join([tag, *others]))] if others else []
-    return table, left_out
+    left_out += [] if name in (words[name], f"{words[name]}_joint") else [f"the name {name}"]
+    texts = [f"left out: {text}" for text in left_out]
+    if zero:
+        table |= {"start": zero} if mimic is None else {}
+        texts.append(f"zero and limits shifted by {math.degrees(zero):.3g} deg, by which its link is turned")
+    return table, texts
 
 
-def _words(names: Sequence[str]) -> dict[str, str]:
-    """Names as those of joints, one word each, all of them different, none that a machine has otherwise."""
+def _words(names: Iterable[str]) -> dict[str, str]:
+    """Names as those of joints, one word each, all of them different, none that a machine has otherwise.
+
+    Without the ending of an export.
+    """
     found, used = dict[str, str](), set(taken())
     for name in names:
-        plain = unicodedata.normalize("NFKD", name)  # o before the dots of an umlaut
+        plain = unicodedata.normalize("NFKD", name.removesuffix("_joint"))  # o before the dots of an umlaut
         word = first = re.sub("^[0-9]+|[^a-z0-9]", "", plain.lower()) or "joint"
         number = 2
         while word in used:
@@ -372,15 +430,16 @@ def _lines(tables: Mapping[str, Mapping[str, Any]], title: str, note: str) -> It
         entries["inertia"] = body.inertia.ravel()[[0, 4, 8, 1, 2, 5]]
         entries |= {n: table[n] for n in ("damping", "friction", "ratio", "offset") if n in table}
         yield f"\n[{name}]\n"
-        yield from (f"# left out: {text}\n" for text in table["left out"])
+        yield from (f"# {text}\n" for text in table["told"])
         yield from (f'{n} = "{table[n]}"\n' for n in ("joint", "axis", "parent", "follows") if n in table)
         yield from (f"{n} = {_toml(value)}\n" for n, value in entries.items())
         if stop := table.get("stop"):  # a cylinder ends at its stroke instead
             yield f"stop = {{ from = {_toml(stop[0])}, at = {_toml(stop[1])} }}\n"
     yield f'\n[payload]\non = "{[*tables][-1]}"\nat = [0, 0, 0]  # the tip\n\n[start]\n'
-    for name, (low, high) in ((n, table["stop"]) for n, table in tables.items() if "stop" in table):
-        if not low <= 0 <= high:
-            yield f"{name} = {_toml(min(max(0.0, low), high))}\n"
+    for name, table in tables.items():
+        zero, (low, high) = table.get("start", 0.0), table.get("stop", (-math.inf, math.inf))
+        if start := min(max(zero, low), high):
+            yield f"{name} = {_toml(start)}\n"
 
 
 def _toml(value: Any) -> str:

@@ -13,13 +13,14 @@ and boom_head_pressure, also COMPONENT.NAME or NAME_measured, as for `harvester 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from scipy import stats
 
 from fmus.crane.axes import at_start
 from fmus.crane.description import CraneDescription
@@ -29,10 +30,18 @@ from fmus.identification import balance
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.procedures.flow_balance import EDGES, IN, LINES, NOTE, OUT, PRIOR, Function
-from fmus.identification.procedures.procedure import Fit, Parts, Procedure, Recordings, solve
+from fmus.identification.procedures.procedure import (
+    Contradicted,
+    Fit,
+    NotAsked,
+    Parts,
+    Procedure,
+    Recordings,
+    solve,
+)
 from fmus.identification.recordings.clock import resample_uniformly
 from fmus.identification.recordings.masks import KNOWN, step
-from fmus.identification.recordings.reading import doubtful, require
+from fmus.identification.recordings.reading import TABLES, doubtful, require
 from fmus.identification.report.figures import procedure_figures
 from fmus.identification.results import Estimate, Panel, ProcedureResult, named
 from fmus.parameters import Number, complete, write
@@ -41,13 +50,37 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import tell_once
 from orchestrator.base.text import TextTable, first_names
 from orchestrator.data.recording import Recording, read_recording
-from orchestrator.data.table import READABLE
+from orchestrator.data.table import READABLE, Array
 from orchestrator.results.diagnosis import columns_of
 from orchestrator.results.report import PAGE, TERMINAL, Columns, Figure, Part, Report, Section, Table, Text
 
 SLOW, ROUNDING = 0.2, 0.05  # rms speeds: below, stiction holds unknown forces; of the sign of a dry friction
 UNLIKE = "; does it move, and are its signs, zeros and pressures those of the description?"
-MOVES = 0.01  # rad or m, range from which a joint moves
+MOVES, NOISES = {"rad": 0.01, "m": 0.01}, 10.0  # of a coordinate, and of a sensor: range of one that moves
+ENOUGH = 0.5  # of the quantities of functions that move: with fewer, a log is not what was asked for
+IMPLAUSIBLE = 1e9  # times usual magnitudes: no unit explains it
+EACH, REST = 5.0, 10.0  # s of a log: of motion of each function, and of rest
+RECORD = "each function out and in, over most of its stroke, at small and large commands"
+
+
+def moved(r: Recording, name: str) -> bool:
+    """Whether a reading changes by more than its noise; also one without samples, which the fit refuses."""
+    values = r[name][np.isfinite(r[name])]
+    least = max(NOISES * np.nan_to_num(data.noise_sd(r, name)), MOVES.get(r.units[name], 0.0))
+    return not values.size or bool(np.ptp(values) > least)
+
+
+def _plausible(log: Recording) -> Recording:
+    """With gaps in place of what no sensor reads, such as an overflow of a logger; a line tells it."""
+    signals = dict[str, Array]()
+    for n, values in log.signals.items():
+        largest = max(TABLES["quantities"].get(log.units[n], {}).get("usual", ()), default=np.inf)
+        signals[n] = np.where(wrong := np.abs(values) > IMPLAUSIBLE * largest, np.nan, values)
+        if wrong.any():
+            peak, count = np.abs(values[wrong]).max(), f"{np.sum(wrong)} of {wrong.size} samples left out"
+            told = f"{count}, up to {peak:.3g} {log.units[n]}: no sensor reads that"
+            tell_once(f"warning: {log.source}: {n}: {told}")
+    return replace(log, signals=signals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,13 +123,15 @@ class Crane:
             files = sorted(p for p in path.iterdir() if p.suffix.lower() in READABLE)
         if not files:
             raise Problem(f"{path}: expected logs, files that end in {', '.join(READABLE)}, got none")
-        logs = [self._renamed(resample_uniformly(read_recording(p))) for p in files]
+        logs = [resample_uniformly(_plausible(self._renamed(read_recording(p)))) for p in files]
+        for log in logs:
+            momentum.smoothing(log)  # long enough
         for text in doubtful(logs):
             tell_once(f"warning: {text}")
         return [*map(self._complete, logs)]
 
     def _renamed(self, log: Recording) -> Recording:
-        """The signals that are needed, by their names; refuses wrong units and a log that is too short."""
+        """The signals that are needed, by their names; refuses wrong units."""
         units, columns = self.arm.signals | dict.fromkeys(LINES, "Pa"), dict[str, str]()
         for f in self.functions:
             units |= f.signals
@@ -108,7 +143,6 @@ class Crane:
             expected = ", ".join(n.rpartition(".")[2] for n in self.functions[-1].signals)
             got = first_names(log.signals)
             raise Problem(f"{log.source}: expected columns such as {expected}, got none, only {got}")
-        momentum.smoothing(log)  # long enough
         log = replace(
             log,
             signals={n: log.signals[c] for n, c in columns.items()},
@@ -142,26 +176,41 @@ class Crane:
         links = [f"manipulator.{n}" for n in names]
         friction = {j: [n for n in (arm.damping(j),) if n in self.known] for j in arm.cylinders}
         start = {n: self.known[n].value for n in [*links, *(n for some in friction.values() for n in some)]}
-        dry, offsets = ({f"{j} {n}": 0.0 for j in arm.cylinders} for n in (momentum.DRY, momentum.OFFSET))
+        further = momentum.DRY, momentum.OFFSET, momentum.RIPPLE
+        dry, offsets, ripple = ({f"{j} {n}": 0.0 for j in arm.cylinders} for n in further)
+        commands = {f.joint: f.parameter("command") for f in self.functions}
         readings = [n for j in arm.cylinders for n in arm.pressures[j]]
 
         def parts(tests: Recordings, _: object) -> Parts:
             p, found = arm.vector(self.known), []
             for r, j in ((r, j) for r in tests for j in arm.cylinders):
-                angle = arm.angles[arm.index(j)]
-                if {*arm.pressures[j]} <= r.signals.keys() and np.ptp(r.interpolated(angle)) > MOVES:
+                own = arm.angles[arm.index(j)], *arm.pressures[j]
+                if {*own} <= r.signals.keys() and all(moved(r, n) for n in own):
                     theta = (*links, *friction[j])
-                    s = momentum.joint_samples(r, j, theta, p, slow=SLOW, rounding=ROUNDING, arm=arm)
-                    own = (f"{j} {momentum.DRY}", f"{j} {momentum.OFFSET}")
-                    found.append(data.with_course(r, replace(s, names=(*theta, *own))))
+                    u = commands[j] if commands[j] in r.signals and moved(r, commands[j]) else ""
+                    s = momentum.joint_samples(
+                        r, j, theta, p, slow=SLOW, rounding=ROUNDING, arm=arm, command=u
+                    )
+                    further = (f"{j} {n}" for n in s.law.unknowns[len(theta) :])
+                    found.append(data.with_course(r, replace(s, names=(*theta, *further))))
             if not found:
-                raise Problem("expected a cylinder that moves, with readings of both pressures, got none")
+                raise NotAsked("expected a cylinder that moves, with readings of both pressures, got none")
             return found
+
+        def rippled(fit: Fit, fitted: Callable[[Procedure], Fit]) -> Fit:
+            """With forces that follow the command, where the data show them."""
+            of = [n for n in ripple if any(n in s.names for s in fit.solution.samples)]
+            columns = np.array([fit.solution.column(n) for n in of])
+            if not of:
+                return fit
+            values, covariance = fit.solution.effects(columns)
+            p = stats.chi2.sf(values @ np.linalg.pinv(covariance) @ values, len(of))
+            return fitted(replace(fit.procedure, tested=[*offsets])) if p < balance.UNLIKELY else fit
 
         def fitting(fit: Fit) -> None:
             if (times := fit.solution.fit.times_noise) > KNOWN:
                 told = f"residuals of {times:.3g} times the noise, expected {KNOWN:g} at most"
-                raise Problem(f"{told}, such as of a load that swings: move slowly, or record its angle")
+                raise Contradicted(f"{told}, such as of a load that swings: move slowly, or record its angle")
 
         def determined(fit: Fit) -> list[str]:
             return [n for n in start if fit.sd(n) <= balance.DETERMINED * PRIOR * start[n]]
@@ -194,8 +243,9 @@ class Crane:
             signals={n: arm.signals[n] for n in arm.angles},
             law="The momentum balance of the cylinders",
             samples=parts,
-            start=lambda _: start | dry | offsets,
-            tested=[*offsets],
+            start=lambda _: start | dry | offsets | ripple,
+            tested=[*offsets, *ripple],
+            refined=rippled,
             priors={n: PRIOR * x for n, x in start.items()},
             limits=lambda tests: data.zero_limits(
                 tests, [n for n in readings if all(n in r.signals for r in tests)]
@@ -210,20 +260,48 @@ class Crane:
 
 def identify(crane: Crane, logs: Path) -> tuple[list[ProcedureResult], list[str]]:
     """Results, and a sentence on each procedure that has none; a Problem if all have none."""
-    tests, found, missing = crane.read(logs), list[ProcedureResult](), list[str]()
+    found, missing = _identified(crane, crane.read(logs), logs)
+    return found, [_text(*x) for x in missing.items()]
+
+
+def _identified(
+    crane: Crane, tests: Recordings, logs: Path
+) -> tuple[list[ProcedureResult], dict[str, Problem]]:
+    """Results, and why procedures have none; before the first fit a Problem if nothing moves."""
+    found, missing = list[ProcedureResult](), dict[str, Problem]()
+    places = [n for f in crane.functions for n in [*f.signals][:1]]
+    if not any(moved(r, n) for r in tests for n in places if n in r.signals):
+        still = first_names(n.rpartition(".")[2] for n in places)
+        raise Problem(_too_little(crane, tests, logs, f"nothing moves, {still} are constant but for noise"))
     for declared in (*(f.procedure for f in crane.functions), crane.masses):
         try:
-            own = [r for r in tests if declared.signals.keys() <= r.signals.keys()]
-            if not own:
+            used = [r for r in tests if declared.signals.keys() <= r.signals.keys()]
+            if not used:
                 lacking = (n for n in declared.signals if not all(n in r.signals for r in tests))
-                raise Problem(f"no reading of {', '.join(lacking)}")
-            found.append(solve(declared, own, crane.known))
+                raise NotAsked(f"no reading of {', '.join(lacking)}")
+            *readings, command = declared.signals
+            rests = [n for n in readings if not any(moved(r, n) for r in used)]
+            if rests and declared.name != "masses":
+                kind = Problem if any(moved(r, command) for r in used) else NotAsked
+                raise kind(f"{', '.join(rests)} at rest")
+            found.append(solve(declared, used, crane.known))
         except Problem as error:
-            text = f"{declared.name}: {str(error).removeprefix(f'{declared.name}: ')}"
-            missing.append(text + UNLIKE * ("converge" in text))
+            missing[declared.name] = error
     if not found:
-        raise Problem(f"{logs}: nothing was identified: {'; '.join(missing)}")
+        raise Problem(f"{logs}: nothing was identified: {'; '.join(_text(*x) for x in missing.items())}")
     return found, missing
+
+
+def _text(procedure: str, reason: Problem) -> str:
+    text = f"{procedure}: {str(reason).removeprefix(f'{procedure}: ')}"
+    return text + UNLIKE * ("converge" in text)
+
+
+def _too_little(crane: Crane, tests: Recordings, logs: Path, got: str) -> str:
+    """What was found in logs, whether they are too short, and what to record."""
+    wanted, seconds = REST + EACH * len(crane.functions), sum(float(np.ptp(r.time)) for r in tests)
+    length = f"{seconds:.3g} s{', too short' if seconds < wanted else ''}"
+    return f"{logs}: {length}: {got}; record {wanted:g} s or more: {RECORD}, and {REST:g} s of rest"
 
 
 def keys(crane: Crane, results: Sequence[ProcedureResult]) -> dict[str, Number]:
@@ -272,12 +350,14 @@ def run(description: CraneDescription, logs: Path, out: Path) -> Report:
     if out.is_file() and "parameters" not in toml.read_file(out).data:
         raise Problem(f"--out {out}: expected no file or one of parameters, got another")
     crane = Crane(description)
-    results, missing = identify(crane, logs)
+    tests = crane.read(logs)
+    results, missing = _identified(crane, tests, logs)
     parameters = keys(crane, results)
     write(out, {"parameters": parameters})
     wrong = [f"warning: {x.sentence}" for x in named(x for r in results for x in r.findings)]
+    why = [_text(*x) for x in missing.items()]
     left = [
-        *(f"not identified: {text}" for text in missing),
+        *(f"not identified: {text}" for text in why),
         *(f"{r.procedure}: {x}" for r in results for x in r.remarks),
     ]
     sections = list[Section]()
@@ -288,14 +368,23 @@ def run(description: CraneDescription, logs: Path, out: Path) -> Report:
     told = _table([e for r in results for e in r.estimates])
     data = [{n: x for n, x in vars(r).items() if n != "panels"} for r in results]
     use = f"harvester build --crane {description.file} --parameters {out} takes them"
-    if wrong:
-        use = f"doubtful by the warnings; {use}"
+    against = any(isinstance(x, Contradicted) for x in missing.values())
+    if wrong or against:
+        use = f"doubtful by the {'warnings' if wrong else 'law that does not hold'}; {use}"
+    verdict = f"{out}: {len(parameters)} parameters; {use}"
+    known, untold = {e.name for r in results for e in r.estimates}, (Contradicted, NotAsked)
+    lost = any(not isinstance(x, untold) for x in missing.values())
+    asked = [f for f in crane.functions if not isinstance(missing.get(f.procedure.name), untold)]
+    every = [n in known for f in asked for n in f.start]
+    if little := sum(every) < ENOUGH * len(every):
+        got = f"{sum(every)} of {len(every)} quantities of functions are told"
+        verdict = f"{_too_little(crane, tests, logs, got)}. {verdict}"
     return Report(
         f"Identification: {description.title}",
-        f"{out}: {len(parameters)} parameters; {use}",
+        verdict,
         [told, Text(left, only=TERMINAL), Text(wrong, "warn"), *sections],
-        {"results": data, "missing": missing},
-        not wrong and not any("times the noise" in text for text in missing),  # the data contradict a law
+        {"results": data, "missing": why, "doubtful": little or lost},
+        not (wrong or little or lost or against),
     )
 
 

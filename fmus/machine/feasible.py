@@ -37,7 +37,7 @@ from fmus.controller.arm import Arm
 from fmus.controller.reference import speed_limits
 from fmus.controller.valve import MARGIN, needed_pressures, nominal_full_speeds, section_speeds
 from fmus.controller.variables import LEARNED
-from fmus.machine.sway import sway
+from fmus.machine.sway import Mode, sway
 from fmus.manipulator import VARIANTS
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
@@ -64,8 +64,8 @@ class Mechanics:
         """The default variant."""
         return next(iter(self.manipulators.values()))
 
-    def sway(self, component: Component) -> tuple[float, float] | None:
-        """Period [s] and damping ratio of what hangs from this manipulator; None: nothing swings."""
+    def sway(self, component: Component) -> list[Mode]:
+        """Modes of what hangs from this manipulator; empty: nothing swings."""
         own = component.real_parameters().keys()
         like = max(self.manipulators.values(), key=lambda sub: len(own & quantities(sub.parameters).keys()))
         return sway(like, component)

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fmus.machine.feasible import Mechanics, exceeded
-from fmus.machine.sway import shaped
+from fmus.machine.sway import remaining, shaped, shaper, together
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, write_columns, write_whole
 from orchestrator.base.signals import rms
@@ -371,23 +371,26 @@ def _shaped(
     out: Path,
     report: Callable[[str], object],
 ) -> Iterator[tuple[Path, Start]]:
-    """The paths, shaped for the head of the first machine that has one; they are written to a folder."""
-    heads = filter(None, (mechanics.sway(m.components[names.follower]) for m in systems.values()))
-    found, damping = next(heads, (0.0, 0.0))
-    period = period or found
-    if not period > 0:
+    """The paths, shaped for the heads of all machines; they are written to a folder."""
+    every = [mode for m in systems.values() for mode in mechanics.sway(m.components[names.follower])]
+    modes = together(every)
+    if period:
+        modes = [(period, min(modes, key=lambda m: abs(m[0] - period), default=(0.0, 0.0))[1])]
+    if not modes:
         swinging = "a machine whose head swings, or --sway-period"
         raise Problem(f"--shape-sway: expected {swinging}, got {', '.join(systems)}")
+    heads = " and ".join(f"a period of {t:.2f} s, damping ratio {z:.2f}" for t, z in modes)
+    rest = dict.fromkeys(f"{100 * remaining(*shaper(modes), m):.1f} % with {m[0]:.2f} s" for m in every)
+    told = f"; sway that is left: {', '.join(rest)}" if rest else ""
     for path, start in paths:
         scenario = read_trace(path)
         points(scenario, names.path, str(path))
         scenario = unwrapped(scenario, names.path[-1])
-        made = shaped(scenario, names.path, names.velocity, period, damping)
+        made = shaped(scenario, names.path, names.velocity, modes)
         rows = np.column_stack([made.time, *made.signals.values()])
         write_columns(file := out / f"{path.stem}_shaped.csv", ("time", *made.signals), rows, 10)
         seconds = " s become ".join(f"{np.ptp(t.time):.1f}" for t in (scenario, made))
-        head = f"a head with a period of {period:.2f} s, damping ratio {damping:.2f}"
-        report(f"note: {path.stem} is shaped for {head}: {seconds} s, {file}")
+        report(f"note: {path.stem} is shaped for a head with {heads}: {seconds} s, {file}{told}")
         yield file, start
 
 

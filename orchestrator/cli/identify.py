@@ -89,7 +89,7 @@ def identify(
         found = run_crane(checked(crane)[0], folder, out)
         print(found.text())
         print("Report: {}, {}".format(*found.write(report / "identification.html")))
-        return 0 if found.passed else 3
+        return 0 if found.passed else 1 if found.data["doubtful"] else 3
     if not folder.is_dir():  # before the slow imports
         got = "a file" if folder.is_file() else "no such file or folder"
         raise Problem(f"{folder}: expected a folder of recordings, got {got}")

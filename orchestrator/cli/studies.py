@@ -85,8 +85,8 @@ def track(
                  two points or more.
     speed        With `through`: speed along the path [m/s], if the path is long enough to reach it.
     compare      Also run without the controller's feedback.
-    shape_sway   Shape each move so that the hanging head is at rest after it; a move lasts one period of the
-                 head longer. Writes PATH_shaped.csv.
+    shape_sway   Shape each move so that the hanging head is at rest after it; a move lasts one period of each
+                 of its modes longer. Writes PATH_shaped.csv.
     sway_period  Shape moves for this period of the head [s]; default: that of the machine.
     learned      Write what the controller of one machine has learned of its valves to this file (.ssv), for
                  `parameters`; each path begins with what was learned on the one before. Needs

@@ -401,7 +401,8 @@ def _in_si(columns: Columns, time: TimeDescription, named: bool, of_text: bool) 
         values[name] = columns.values[column]
         if is_text and of_text and (unit := columns.units.get(column)):
             scale = parse_unit(unit, f"{columns.file}: column {column!r}")
-            values[name], units[name] = scale.factor * values[name] + scale.offset, si_unit(unit)
+            with np.errstate(over="ignore"):  # 1e308 bar are inf, as 1e309 would be
+                values[name], units[name] = scale.factor * values[name] + scale.offset, si_unit(unit)
     return replace(columns, values=values, units=units)
 
 

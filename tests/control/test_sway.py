@@ -12,7 +12,7 @@ from benchmarks.sway import NAMES, circular, residual, straight
 from fmus.controller.paths import PATHS
 from fmus.machine.feasible import MECHANICS
 from fmus.machine.path_following import points
-from fmus.machine.sway import impulses, shaped
+from fmus.machine.sway import impulses, remaining, shaped, shaper, together
 from fmus.package_files import data
 from orchestrator import Trace, load
 from orchestrator.__main__ import main
@@ -44,11 +44,53 @@ def test_a_wrong_period_leaves_what_the_formula_says(wrong):
     assert left(1.0, 0.0, wrong) == pytest.approx(math.cos(math.pi / 2 / wrong) ** 2, abs=1e-12)
 
 
+def amplitude(times, weights, period, damping):
+    """Of a mode after impulses, by its displacement and velocity at their end; of a single one it is 1."""
+    w, root = 2 * math.pi / period, math.sqrt(1 - damping**2)
+    ago = times.max() - times
+    decay, phase = weights * np.exp(-damping * w * ago), w * root * ago
+    return math.hypot(decay @ np.sin(phase), decay @ np.cos(phase))
+
+
+MODES = [
+    [(1.905, 0.053)],
+    [(1.894, 0.069), (1.638, 0.130)],  # a link and a grapple about crossed pins
+    [(2.86, 0.006), (0.70, 0.144)],  # a load on a rope
+    [(2.2, 0.0), (1.3, 0.4), (0.45, 0.2)],
+]
+
+
+@pytest.mark.parametrize("modes", MODES, ids=len)
+def test_convolved_impulses_leave_nothing_of_any_mode(modes):
+    """Of unlike modes each is at rest after the last impulse, and the time is the sum of their periods."""
+    times, weights = shaper(together(modes))
+    assert weights.sum() == pytest.approx(1, abs=1e-14)  # rounding
+    assert times.max() == pytest.approx(sum(t / math.sqrt(1 - z**2) for t, z in modes), rel=1e-14)
+    for period, damping in modes:
+        assert amplitude(times, weights, period, damping) < 1e-14
+        assert remaining(times, weights, (period, damping)) < 1e-14
+        wrong = 1.1 * period, damping
+        assert remaining(times, weights, wrong) == pytest.approx(amplitude(times, weights, *wrong), abs=1e-14)
+
+
+def test_modes_that_are_alike_have_one_shaper():
+    """Two of 5 % apart leave less than 1 % of each, by the closed form; damping tells modes apart, too."""
+    (mean,) = together([(2.0, 0.0), (1.9, 0.0), (0.5, 1.57), (0.9, 0.999)])
+    assert mean == pytest.approx((1.95, 0.0))
+    for period in (1.9, 2.0):
+        expected = math.cos(math.pi / 2 * mean[0] / period) ** 2
+        # cos(pi f)^2 of three impulses: f of the mean's half period
+        assert remaining(*shaper([mean]), (period, 0.0)) == pytest.approx(expected, abs=1e-12)
+    assert together([(1.0, 0.05), (2.0, 0.05), (1.0, 0.3)]) == [(2.0, 0.05), (1.0, 0.3), (1.0, 0.05)]
+
+
 def test_the_sway_of_a_head_is_that_of_a_physical_pendulum(fmu_dir):
     """2 pi sqrt(J/(m g L)) and its damping, with a payload in another pose, too; no head, no sway."""
     machine = with_swaps(load(fmu_dir / "harvester_control.ssp"), PENDULUM)
     as_it_is = MECHANICS.sway(machine.components["manipulator"])
-    assert as_it_is == pytest.approx((2.14, 0.1), abs=0.005)  # README of the manipulator: digits there
+    assert together(as_it_is) == [
+        pytest.approx((2.14, 0.1), abs=0.005)
+    ]  # README of the manipulator: digits there
     loaded = {"payload_mass": 500.0, "initial_boom_angle": 0.5, "initial_head_angle": 0.2}
     for start in ({}, {"head_inertia": 0.0}, loaded):
         given = {f"manipulator.{n}": x for n, x in start.items()}
@@ -61,14 +103,14 @@ def test_the_sway_of_a_head_is_that_of_a_physical_pendulum(fmu_dir):
         )
         damping = p["head_joint_damping"] / (2 * math.sqrt(stiffness * inertia))
         expected = 2 * math.pi * math.sqrt(inertia / stiffness), damping
-        assert MECHANICS.sway(component) == pytest.approx(expected, rel=1e-12)  # rounding
-    assert MECHANICS.sway(load(fmu_dir / "harvester_control.ssp").components["manipulator"]) is None
+        assert MECHANICS.sway(component) == [pytest.approx(expected, rel=1e-12)] * 2  # rounding
+    assert MECHANICS.sway(load(fmu_dir / "harvester_control.ssp").components["manipulator"]) == []
 
 
 def test_a_shaped_square_is_the_square_with_its_corners_at_rest():
     """All points are on the sides, all corners are reached, each side lasts one damped period longer."""
     scenario = read_trace(data("scenarios/square.csv"))
-    made = shaped(scenario, NAMES.path, NAMES.velocity, 2.0, 0.1)
+    made = shaped(scenario, NAMES.path, NAMES.velocity, [(2.0, 0.1)])
     late = impulses(2.0, 0.1)[0][-1]
     # four sides, each rounded up to 5 ms
     assert 0 <= np.ptp(made.time) - np.ptp(scenario.time) - 4 * late <= 4 * 5e-3
@@ -91,7 +133,7 @@ def test_a_move_is_convolved_along_its_path():
         np.array([0.0, 1.0, 3.0, 4.0]),
         {"path_radius": np.full(4, 4.0), "path_height": np.array([0, 0, 1, 1.0]), "path_angle": np.zeros(4)},
     )
-    made = shaped(table, NAMES.path, NAMES.velocity, 1.0, 0.0)
+    made = shaped(table, NAMES.path, NAMES.velocity, [(1.0, 0.0)])
     assert made.time[-1] == pytest.approx(5.0, abs=1e-9)
     late = ((0.25, 0.0), (0.5, 0.5), (0.25, 1.0))
     ramp = sum(share * np.clip((made.time - 1 - t) / 2, 0, 1) for share, t in late)
@@ -103,7 +145,7 @@ def test_columns_beside_the_path_keep_their_place_on_it():
     scenario = read_trace(data("scenarios/square.csv"))
     third = (scenario.time > 10.0) & (scenario.time < 12.0)
     marked = replace(scenario, signals={**scenario.signals, "mark": third.astype(float)})
-    made = shaped(marked, NAMES.path, NAMES.velocity, 2.0, 0.0)
+    made = shaped(marked, NAMES.path, NAMES.velocity, [(2.0, 0.0)])
     begin = made.time[np.flatnonzero(made["mark"] > 0.5)[0]]
     assert begin == pytest.approx(14.0, abs=0.03)  # moves are rounded up to 5 ms, the jump is one sample long
 
@@ -116,14 +158,16 @@ def test_a_shaped_move_leaves_a_tenth_of_the_sway(machine, monkeypatch, kind):
         "straight": straight((4.0, -0.5, 1.0), (4.2, 1.0, 1.0), 0.6),
         "circle": circular(4.5, 1.0, -0.3, 0.6, 0.7),
     }
-    period, damping = MECHANICS.sway(with_swaps(load(machine), PENDULUM).components["manipulator"])
+    ((period, damping),) = together(
+        MECHANICS.sway(with_swaps(load(machine), PENDULUM).components["manipulator"])
+    )
     free, error = residual("lumped, pendulum", moves[kind])
     assert free > 0.03  # else there is nothing to judge
-    left, shaped_error = residual("lumped, pendulum", moves[kind], period, damping)
+    left, shaped_error = residual("lumped, pendulum", moves[kind], [(period, damping)])
     assert left < 0.1 * free
     assert shaped_error < error + 2e-3  # the slower motion is tracked as well, to the play of the valves
     for wrong in (0.8, 1.2):
-        assert residual("lumped, pendulum", moves[kind], wrong * period, damping)[0] < 0.2 * free
+        assert residual("lumped, pendulum", moves[kind], [(wrong * period, damping)])[0] < 0.2 * free
 
 
 def test_the_command_shapes_and_keeps_the_path(fmu_dir, tmp_path, capsys):
@@ -133,6 +177,7 @@ def test_the_command_shapes_and_keeps_the_path(fmu_dir, tmp_path, capsys):
     assert main(["track", str(system), *line, *given, "--shape-sway"]) == 0
     told = capsys.readouterr().out
     assert "note: route is shaped for a head with a period of 2.14 s, damping ratio 0.10: " in told
+    assert "; sway that is left: 0.0 % with 2.14 s\n" in told
     assert main(["track", str(system), "--path", str(tmp_path / "route_shaped.csv"), *given]) == 0
     again = capsys.readouterr().out
     one, other = (re.findall(r"^route_shaped .*?((?: +\S+){4})$", x, re.M) for x in (told, again))

@@ -117,3 +117,42 @@ def test_a_slewing_motor_holds_the_crane_on_a_slope(slope, slew, mass):
     moment = GRAVITY * (40 * 0.9 + 30 * (2 + 1) + (20 + mass) * (2 + 2.5 * 1))
     expected = abs(moment * np.sin(lean) * across) / 2e-3
     assert check(crane)[0].holding == pytest.approx(expected, rel=1e-4)  # gravity of the file of the paper
+
+
+CLAWS = [  # axes of the hook, mass and centre of the claw below it, place of the load
+    (["y"], 110.0, (0.55, 0.0, -0.65), (0.0, 0.0, -1.1)),
+    (["y"], 300.0, (-0.8, 0.0, -0.3), (0.2, 0.0, -0.9)),
+    (["y", "x"], 150.0, (0.3, -0.5, -0.6), (0.1, 0.0, -1.5)),
+]
+
+
+def _claw(axes, mass, centre, load):
+    """Hanging at the end of the boom, by joints with one place."""
+    text = STEPS[: STEPS.index("[one]")]
+    for k, axis in enumerate(axes):
+        text += f'[hook{k}]\naxis = "{axis}"\nat = [{0 if k else 2.5}, 0, 0]\n'
+    text += f"mass = {mass}\ncentre = {[*centre]}\ninertia = [9, 9, 9]\n"
+    text += f'[payload]\non = "hook{k}"\nat = {[*load]}\n[supply]\npressure = 2.4e7\n'
+    return read(Path("claw.toml"), text.encode())
+
+
+@pytest.mark.parametrize(("axes", "mass", "centre", "load"), CLAWS)
+def test_a_load_hangs_where_it_hangs_with_itself(axes, mass, centre, load):
+    """The moment of all that hangs is that of its weight at the pin, whatever its pose; the load is where
+    the common centre of claw and load is below the pin."""
+    crane = _claw(axes, mass, centre, load)
+    loads = capacity(crane, check(crane))
+    angle = loads.poses[0]
+    lever = np.gradient(np.abs(0.6 * np.exp(1j * angle) - (0.4 - 1.1j)), angle)
+    boom = 2.4e7 * np.pi / 4 * 0.16**2 * lever / GRAVITY - 40 * 0.9 * np.cos(angle)
+    carried = boom / (2.5 * np.cos(angle)) - mass
+    x, y, z = (mass * c + carried * t for c, t in zip(centre, load, strict=True))
+    roll = np.arctan2(y, -z) if "x" in axes else 0.0 * z
+    across = load[1] * np.cos(roll) - load[2] * np.sin(roll)
+    up, down = load[1] * np.sin(roll) + load[2] * np.cos(roll), y * np.sin(roll) + z * np.cos(roll)
+    pitch = np.arctan2(x, -down)
+    reach = np.hypot(2.5 * np.cos(angle) + load[0] * np.cos(pitch) + up * np.sin(pitch), across)
+    inner = slice(2, -2)  # differences at the ends are of first order
+    # 1e-3: differences of the lever, of second order; the pose after two steps, 1e-4
+    np.testing.assert_allclose(loads.values[2][inner], carried[inner], rtol=1e-3)
+    np.testing.assert_allclose(loads.values[0][inner], reach[inner], atol=1e-3)

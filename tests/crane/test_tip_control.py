@@ -13,6 +13,7 @@ from kit import shards
 from kit.cranes import changed, checked, machine
 from kit.equations import Part
 from kit.mistakes import problem
+from scipy.linalg import eigvals
 
 from fmus.contract import column, nested
 from fmus.controller import CONTROLLER
@@ -21,6 +22,7 @@ from fmus.controller.paths import start_angles, write_route
 from fmus.crane.controller import controlled
 from fmus.crane.description import read
 from fmus.crane.machine import crane_machine, tracked
+from fmus.crane.manipulator import manipulator
 from fmus.machine.path_following import follow
 from fmus.machine.poses import outputs_at_start
 from fmus.machine.sway import sway
@@ -182,17 +184,53 @@ def test_a_place_out_of_reach_is_told():
     assert pose[0] == 0.3
 
 
-def test_the_sway_of_a_grapple_is_the_mean_of_its_axes():
+AT_START = SimpleNamespace(real_parameters=dict, value=lambda _: 0.0)
+
+
+def test_the_modes_of_a_grapple_are_those_of_its_axes():
     """Of loader.toml by hand: link and grapple together about the pin, the grapple alone about its axis."""
-    arm = machine().subsystems["manipulator"]
-    as_it_is = SimpleNamespace(real_parameters=dict, value=lambda _: 0.0)
-    both = (0.3 + 20 * 0.15**2 + 15 + 180 * 0.8**2) / (20 * 0.15 + 180 * 0.8)
-    alone = (15 + 180 * 0.5**2) / (180 * 0.5)
-    mean = math.pi * sum(math.sqrt(length / 9.81) for length in (both, alone))
-    period, damping = sway(arm, as_it_is)
-    assert period == pytest.approx(mean, rel=1e-3)  # gravity to three digits
-    own = [60 / (2 * math.sqrt(g * 9.81 * g * x)) for g, x in ((147, both), (90, alone))]
-    assert damping == pytest.approx(sum(own) / 2, rel=1e-3)
+    both = (0.3 + 20 * 0.15**2 + 15 + 180 * 0.8**2) / (20 * 0.15 + 180 * 0.8), 147
+    alone = (15 + 180 * 0.5**2) / (180 * 0.5), 90
+    expected = [
+        (2 * math.pi * math.sqrt(x / 9.81), 60 / (2 * math.sqrt(g * 9.81 * g * x))) for x, g in (both, alone)
+    ]
+    found = sorted(sway(machine().subsystems["manipulator"], AT_START), reverse=True)
+    np.testing.assert_allclose(found, expected, rtol=1e-3)  # gravity to three digits
+
+
+CHAINS = [  # length to the next pin [m], centre [m], mass [kg], inertia [kg.m2], damping [N.m.s/rad] of links
+    [(0.3, 0.15, 20, 0.3, 60), (0.9, 0.5, 180, 15, 60)],
+    [(0.5, 0.2, 30, 1.0, 5), (0.8, 0.4, 60, 4, 3)],
+    [(0.4, 0.2, 15, 0.2, 4), (0.5, 0.25, 25, 0.5, 6), (0.7, 0.4, 120, 9, 25)],
+]
+
+
+@pytest.mark.parametrize("links", CHAINS, ids=len)
+def test_modes_of_links_about_parallel_pins(tmp_path, links):
+    """Of a chain of pendulums in absolute angles, by hand; an overdamped mode is none."""
+    text, at = "", "177 mm"
+    for k, (length, centre, mass, inertia, damping) in enumerate(links):
+        text += f'[hung{k}]\naxis = "y"\nat = {[0, 0, at] if k else [at, 0, 0]}\nmass = {mass}\n'
+        text += f"centre = [0, 0, {-centre}]\ninertia = [9, {inertia}, 9]\ndamping = {damping}\n"
+        at = -length
+    whole = changed(tmp_path).read_text(encoding="utf-8")
+    before, end = whole[: whole.index("[link]")], whole[whole.index("[start]") :]
+    payload = f'[payload]\non = "hung{k}"\nat = [0, 0, {at}]\n'
+    crane = read(tmp_path / "crane.toml", (before + text + payload + end).encode())
+    long, centres, mass, inertia, losses = np.array(links).T
+    count = len(links)
+    arms = np.tril(np.tile(long, (count, 1)), -1) + np.diag(centres)  # of body k by angle i
+    relative = np.eye(count) - np.eye(count, k=-1)
+    m = arms.T @ np.diag(mass) @ arms + np.diag(inertia)
+    d, stiff = relative.T @ np.diag(losses) @ relative, np.diag(9.80665 * mass @ arms)
+    nothing, one = np.zeros((count, count)), np.eye(count)
+    roots = eigvals(np.block([[nothing, one], [-stiff, -d]]), np.block([[one, nothing], [nothing, m]]))
+    size = abs(swinging := roots[roots.imag > 0])
+    expected = sorted(zip(2 * np.pi / size, -swinging.real / size, strict=True))
+    assert len(expected) == count - (links is CHAINS[0])
+    found = sorted(sway(manipulator(crane), AT_START))
+    # rounding, and 1e-9 of the shift in the balance at rest
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
 @shards.machine

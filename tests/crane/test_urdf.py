@@ -31,13 +31,16 @@ FOREIGN = entry(__file__, "foreign")
 SPEEDS = {j.name: {"lumped": (0.5 + k, -1.0 - k, 9.0)} for k, j in enumerate(crane().driven)}
 
 
-def same(pin, crane, text, q):
-    """M and G of a crane whose joints are all free are those of Pinocchio's reader, within rounding."""
+def same(pin, crane, text, q, shift=0.0):
+    """M and G of a crane whose joints are all free are those of Pinocchio's reader, within rounding.
+
+    shift   of the crane's coordinates
+    """
     sub = manipulator(crane)
     own = sub.model
     chain = own.chain(nested(own.parameters, values(sub).p))
     links = [type(link)(**{**vars(link), "follows": None}) for link in chain.links]
-    motion = Chain(tuple(links), (0, 0, -9.81)).equations(ca.SX(q), ca.SX(0 * q))
+    motion = Chain(tuple(links), (0, 0, -9.81)).equations(ca.SX(q + shift), ca.SX(0 * q))
     model = pin.buildModelFromXML(text)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     place = pin.integrate(model, pin.neutral(model), q)  # a continuous joint has the sine and cosine
@@ -70,7 +73,7 @@ def test_a_foreign_urdf_becomes_a_crane_with_the_same_mechanics(pin, tmp_path):
     source.write_text(FOREIGN, encoding="utf-8")
     told = imported(source, target)
     assert "3 joints" in told
-    assert "column1, arm, slide" in told
+    assert "j1, j3, j4" in told
     found = read(target)
     assert capacity(found, check(found)).values[2] == 0.0  # nothing is driven yet
     assert [j["damping"] for j in found.joints] == [0, 7, 0]
@@ -92,6 +95,31 @@ def test_an_exported_crane_comes_back(tmp_path):
         assert same_of(one) == same_of(other)
         kept = [n for n in other.numbers if n != "stiffness" and not n.startswith("stop")]
         assert [one[n] for n in kept] == pytest.approx([other[n] for n in kept], abs=1e-11)
+
+
+TURNED = {  # joints whose links are turned about their own axes, by what, and the shifts of their zeros
+    "boom": ({"j3": 0.14}, [0, 0.14, 0]),
+    "column": ({"j1": 0.4}, [0.4, 0, 0]),
+    "both, one by more than half a right angle": ({"j1": -0.3, "j3": 1.0}, [-0.3, 1.0 - np.pi / 2, 0]),
+}
+
+
+@pytest.mark.parametrize(("turned", "shifts"), TURNED.values(), ids=TURNED)
+def test_a_link_turned_about_its_own_axis_shifts_its_zero(pin, tmp_path, turned, shifts):
+    """The mechanics at shifted coordinates are those of Pinocchio; limits and start follow, and are told."""
+    source, target, text = tmp_path / "arm.urdf", tmp_path / "arm.toml", FOREIGN
+    text = text.replace('xyz="0 0 0.5"', f'xyz="0 0 0.5" rpy="0 0 {turned.get("j1", 0.0)}"')
+    text = text.replace(TURN, f'rpy="{np.pi / 2 + turned.get("j3", 0.0)!r} 0 0')
+    source.write_text(text, encoding="utf-8")
+    told, found = imported(source, target), read(target)
+    for joint, shift in zip(found.joints, shifts, strict=True):
+        line = f"note: {joint.name}: zero and limits shifted by {np.degrees(shift):.3g} deg"
+        assert (line in told) == bool(shift)
+        assert joint.start.value == pytest.approx(np.clip(shift, *((-1, 1) if shift else (0, 0))))
+    ends = [found.joint("j3")[n] for n in ("stop_from", "stop_at")]
+    assert ends == pytest.approx([-1 + shifts[1], 1 + shifts[1]], abs=1e-12)
+    for q in np.random.default_rng(6).uniform(-1, 1, (5, 3)):
+        same(pin, found, text, q, np.array(shifts))
 
 
 @pytest.mark.parametrize("yaw", [90, -180, -90])
@@ -129,7 +157,9 @@ TURN, Z, NAN = 'rpy="1.5707963267948966 0 0', '<axis xyz="0 0 1"/>', '<axis xyz=
 RING = '<link name="b"/><link name="c"/>' + JOINT.format("j5", "b", "c") + JOINT.format("j6", "c", "b")
 REFUSED = {
     "j4: expected a revolute, prismatic or fixed joint, got floating": ("prismatic", "floating"),
-    "j3: expected an axis along x, y or z with all joints at 0": (TURN, 'rpy="0.3 0 1'),
+    "j3: expected an axis along x, y or z with all joints at 0": (TURN, 'rpy="0.3 0.2 1'),
+    "j3: expected an axis along x, y or z with all joints at 0, up to 0.3 deg, got [ 0.     0.955 -0.296], "
+    "17.2 deg off; the origin of j2 turns it": ('rpy="0 0 1.57', 'rpy="0 0.3 1.57'),
     "expected one link without a parent": ('<link name="world"/>', '<link name="world"/><link name="b"/>'),
     "expected a URDF: Opening and ending tag mismatch": ("<robot", "<robots"),
     "expected a URDF: line 10: origin: xyz: expected 3 finite numbers, got '0 0 a'": ("0 0 0.5", "0 0 a"),
@@ -171,7 +201,6 @@ def test_what_a_crane_has_no_key_for_is_told_and_a_comment(tmp_path):
     source.write_text(text.replace('<link name="slide">', mesh), encoding="utf-8")
     told, text = imported(source, target), target.read_text(encoding="utf-8")
     for joint, lost in {
-        "j1": "the name Column 1 of the link",
         "j3": "limit effort 1 velocity 1",
         "j4": "dynamics friction 40\nnote: j4: left out: limit lower 0 upper 1 effort 1 velocity 1",
     }.items():
@@ -179,7 +208,7 @@ def test_what_a_crane_has_no_key_for_is_told_and_a_comment(tmp_path):
         assert f"# left out: {lost.splitlines()[0]}" in text.splitlines()
     assert "note: left out: a.stl: shape of a joint takes a mesh in a binary glTF file" in told
     _, arm, slide = read(target).joints
-    assert (slide.follows, slide["ratio"], slide["offset"], slide["damping"]) == ("arm", 2, 0.3, 3)
+    assert (slide.follows, slide["ratio"], slide["offset"], slide["damping"]) == ("j3", 2, 0.3, 3)
     assert (arm["stop_from"], arm["stop_at"]) == (-1, 1)
 
 
@@ -194,13 +223,14 @@ NAMES = {
 
 
 @pytest.mark.parametrize(("name", "word"), NAMES.items())
-def test_any_name_of_a_link_becomes_one_of_a_joint(tmp_path, name, word):
+def test_any_name_becomes_one_of_a_joint(tmp_path, name, word):
     """One word, none that a machine has otherwise, and another one than those before it."""
     source, target = tmp_path / "a.urdf", tmp_path / "a.toml"
-    joints = [("revolute", "base", name), ("revolute", name, f"{name}_")]
-    source.write_text(chain_of(joints), encoding="utf-8")
+    text = JOINT.format(name, "base", "first") + JOINT.format(f"{name}_", "first", "second")
+    links = "".join(f'<link name="{n}"/>' for n in ("base", "first", "second"))
+    source.write_text(f'<robot name="r">{links}{text}</robot>', encoding="utf-8")
     told = imported(source, target)
-    assert [read_names(target)[0], f"note: j0: left out: the name {name} of the link" in told] == [word, True]
+    assert [read_names(target)[0], f"note: {name}: left out: the name {name}" in told] == [word, True]
     assert len(set(read_names(target))) == 2
 
 

@@ -31,7 +31,15 @@ from fmus.identification import balance
 from fmus.identification.balance import Law, Samples
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.momentum_balance import MeasuredArm, at, smoothing
-from fmus.identification.procedures.procedure import Fit, Parts, Procedure, Recordings, misfit
+from fmus.identification.procedures.procedure import (
+    Contradicted,
+    Fit,
+    Parts,
+    Procedure,
+    Recordings,
+    delay_of,
+    misfit,
+)
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.results import BAR, Estimate, Finding, Panel
 from fmus.parameters import Number
@@ -185,7 +193,12 @@ class Function:
         def fitting(fit: Fit) -> None:
             if (times := fit.solution.fit.times_noise) > ANOTHER:
                 told = f"residuals of {times:.3g} times the noise, expected {ANOTHER:g} at most"
-                raise Problem(f"{told}: another kind of valve, such as a compensated section")
+                cause = "another kind of valve, such as a compensated section"
+                lag = -(fit.taken + fit[delay_of(fit.late)]) if fit.late else 0.0
+                if lag * fit.solution.samples[0].rate > 1:  # more than a sample
+                    of = f"the spool follows with a lag of about {1e3 * lag:.0f} ms"
+                    cause = f"{of}, which neither this law nor that of the masses has, or {cause}"
+                raise Contradicted(f"{told}: {cause}")
 
         def estimates(fit: Fit) -> Iterator[Estimate]:
             for n, (_, unit) in self.start.items():

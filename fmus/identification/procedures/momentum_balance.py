@@ -48,6 +48,7 @@ STOP_MARGIN = 2e-3  # m from the ends of a stroke within which the end stops may
 MAX_NAMES = 3  # parameters named in a remark
 EXACT = "manipulator.gravity"  # has no error
 DRY, OFFSET = "dry friction", "constant force"  # further unknowns of the balance of one joint
+RIPPLE = "force per rate of the command"  # of pressures between samples in step with the command
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,20 +174,27 @@ def at(group: type[Any], values: Mapping[str, ca.SX]) -> Any:
 
 
 @lru_cache(maxsize=16)
-def momentum_law(joint: str, theta: tuple[str, ...], arm: MeasuredArm) -> Law:
+def momentum_law(joint: str, theta: tuple[str, ...], arm: MeasuredArm, commanded: bool = False) -> Law:
     """The balance of one joint with parameters theta as unknowns; the constants are p, tank, rounding.
 
     Further unknowns are a dry friction and a constant force, which act on the speed of the shaft or of the
     piston: tau - J (F_c tanh(x' / rounding) + F_0).
+
+    A command that changes in steps, at each of which a sample is taken, lets the pressures ripple between
+    the samples, so that these are no means: with the command as last row of z, F_0 grows with its rate.
     """
     e, row = arm.equations, arm.index(joint)
     unknowns, rounding = {n: ca.SX.sym("u") for n in (*theta, DRY, OFFSET)}, ca.SX.sym("rounding")
     ratio = e.moment_arm[arm.cylinders.index(joint)] if joint in arm.cylinders else ca.SX(1)
     friction = unknowns[DRY] * ca.tanh(ratio * e.w[row] / rounding) + unknowns[OFFSET]
+    z = ca.vertcat(e.q, e.w, e.pressures)
+    if commanded:
+        unknowns[RIPPLE], rate = ca.SX.sym("u"), ca.SX.sym("rate")
+        friction, z = friction + unknowns[RIPPLE] * rate, ca.vertcat(z, rate)
     old, new = e.p[[arm.parameters.index(n) for n in theta]], ca.vertcat(*(unknowns[n] for n in theta))
     momentum, force = ca.substitute([e.momentum[row], e.force[row] - ratio * friction], [old], [new])
     known = ca.vertcat(e.p, e.tank, rounding)
-    return balance.law(ca.vertcat(e.q, e.w, e.pressures), unknowns, known, force, momentum)
+    return balance.law(z, unknowns, known, force, momentum)
 
 
 def speed_ratio(joint: str, q: Array, p: Array, arm: MeasuredArm = HARVESTER) -> Array:
@@ -244,12 +252,14 @@ def joint_samples(
     slow: float = 0.0,
     rounding: float = 1.0,
     arm: MeasuredArm = HARVESTER,
+    command: str = "",
 ) -> Samples:
     """A recording for the balance of one joint.
 
     window     length of the bump [s], longer if the sampling rate requires it
     slow       rms speeds below which a sample is left out
     rounding   rms speeds over which the sign of the dry friction is rounded
+    command    of the joint, for the further unknown `RIPPLE`; "" without it
     """
     kernel, windows = smoothing(recording, window)
     size = windows["bump"].size
@@ -265,9 +275,13 @@ def joint_samples(
         expected = f"expected {shortest} without a gap or clipped sample in {', '.join(used)}"
         raise Problem(f"{recording.source}: {expected}, got no such stretch")
     noise = np.array([noise_sd(recording, n) if n in used else 0.0 for n in arm.signals])
-    known = [*p, tank_pressure(recording), max(rounding * rms, 1e-9)]
+    known, sensors = [*p, tank_pressure(recording), max(rounding * rms, 1e-9)], [*arm.signals]
+    if command:
+        channels.append((len(raw), kernel.weights[1]))
+        raw, noise = np.vstack([raw, recording.interpolated(command)]), np.append(noise, 0.0)
+        sensors.append(command)
     return replace(
-        balance.samples_of(momentum_law(joint, theta, arm), arm.signals, raw, noise, known),
+        balance.samples_of(momentum_law(joint, theta, arm, bool(command)), sensors, raw, noise, known),
         **windows,
         channels=channels,
         starts=balance.window_starts(good & (np.abs(speed) >= slow * rms), size),

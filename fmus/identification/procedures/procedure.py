@@ -55,6 +55,14 @@ Parts: TypeAlias = Sequence[tuple[Samples, Course]]  # samples of the law, each 
 Equations: TypeAlias = Callable[..., Any]
 
 
+class Contradicted(Problem):
+    """The data contradict a law."""
+
+
+class NotAsked(Problem):
+    """The recordings have no signals or no motion for a procedure."""
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A parameter of the machine, or of the tested part: an unknown times a factor, or the factor over it."""
