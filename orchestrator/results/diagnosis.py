@@ -378,10 +378,10 @@ def _examined(
     result = run(system, scenario, record=outputs, parameters=parameters, set=values | dict(set), **times)
     time, (component,), findings = np.asarray(result.time), result.system.components.values(), []
     for name, f in found.items():
-        values_of = (np.asarray(result[f"{name}{end}"]) for end in ("", "_deviation", "_state"))
+        sizes, off, state = (np.asarray(result[f"{name}{end}"]) for end in ("", "_deviation", "_state"))
         reference, about = f"{name}{REFERENCE}", (f.text, variables[name].unit_name or "1", f.repair)
         healthy = float(component.value(reference)) if reference in variables else 0.0
-        findings.append(Finding(name, *about, time, *values_of, healthy, f.words))
+        findings.append(Finding(name, *about, time, sizes, off, state, healthy, f.words))
     remarks += [w for w in result.system.warnings if "did you mean" in w and REFERENCE not in w]
     name, valves = Path(source).name, {f.repair for f in findings if "_gain_" in f.name}
     if len(valves) > 1 and valves <= {f.repair for f in findings if f.broken}:
