@@ -6,7 +6,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from threading import Lock, Timer
+from threading import Event, Thread
 from typing import TextIO
 
 LONG = 5.0  # [s]; a reader of a log waits as long without a line
@@ -32,49 +32,39 @@ class Doing:
 
     def __init__(self, text: str, stream: TextIO | None = None) -> None:
         self._stream = sys.stderr if stream is None else stream
-        self._text, self._lock, self._timer = text, Lock(), None if overwrites(self._stream) else _timer(self)
-        self._ended, self._told = False, ""
+        self._text, self._ended, self._teller = text, Event(), Thread(target=self._tell, daemon=True)
+        self._overwrites = overwrites(self._stream)
+        if not self._overwrites:
+            self._teller.start()
         self.update(text)
 
     def update(self, text: str) -> None:
         """Replace the text of the line."""
         self._text = text
-        if self._timer is None:
-            if _in_notebook(self._stream):
-                self._write(f"\r{text[:WIDTH]:{WIDTH}}")
-                return
-            width = shutil.get_terminal_size().columns
-            self._write(f"{ERASE}{text[: width - 1]}")
+        if _in_notebook(self._stream):
+            self._write(f"\r{text[:WIDTH]:{WIDTH}}")
+        elif self._overwrites:
+            self._write(f"{ERASE}{text[: shutil.get_terminal_size().columns - 1]}")
 
     def end(self) -> None:
         """Erase the line."""
-        if self._timer is None:
+        self._ended.set()
+        if self._overwrites:
             self._write(f"\r{'':{WIDTH}}\r" if _in_notebook(self._stream) else ERASE)
-            return
-        with self._lock:
-            self._ended = True
-            self._timer.cancel()
+        else:
+            self._teller.join()
 
-    def tell(self) -> None:
-        """Print the text unless it was printed last, and look again after `LONG` seconds; for the timer."""
-        with self._lock:
-            if self._ended:
-                return
-            if self._text != self._told:
-                self._told = self._text
-                self._write(f"{self._text} ...\n")
-            self._timer = _timer(self)
+    def _tell(self) -> None:
+        """Print the text every `LONG` seconds unless it was printed last."""
+        told = ""
+        while not self._ended.wait(LONG):
+            if (text := self._text) != told:
+                told = text
+                self._write(f"{text} ...\n")
 
     def _write(self, text: str) -> None:
         self._stream.write(text)
         self._stream.flush()
-
-
-def _timer(line: Doing) -> Timer:
-    timer = Timer(LONG, line.tell)
-    timer.daemon = True
-    timer.start()
-    return timer
 
 
 @contextmanager

@@ -30,13 +30,9 @@ def matching(names: Collection[str], pattern: str) -> list[str]:
     """
     if pattern in names:
         return [pattern]
-    plain = pattern.replace("[", "[[]")
-    for form in (plain, f"{plain}[[]*]"):
-        if "." not in pattern:
-            found = [name for name in names if fnmatchcase(bare_name(name), form)]
-        elif not (found := [name for name in names if fnmatchcase(name, form)]):
-            found = [name for name in names if fnmatchcase(name, f"*.{form}")]
-        if found:
+    plain, of = pattern.replace("[", "[[]"), str if "." in pattern else bare_name
+    for form in (f"{behind}{plain}{index}" for index in ("", "[[]*]") for behind in ("", "*.")):
+        if found := [name for name in names if fnmatchcase(of(name), form)]:
             return found
     return []
 

@@ -166,7 +166,7 @@ def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
     try:
         text = files.Location(path).read(MAX_BYTES)
     except Problem as problem:
-        return None, str(problem).removeprefix(f"{folder}/")
+        return None, str(problem).replace(str(path), file, 1)
     if fault := too_large(text):
         return None, f"{file}: {fault}"
     try:

@@ -207,16 +207,19 @@ def _tdms(file: Location) -> Iterator[list[tuple[str, str, Callable[[], Samples]
 
         def read(channel: Any) -> Samples:
             about, clock, time = channel.properties, clocks.get(channel.group_name), None
-            most = rows.get(channel.group_name, len(channel))
+            most = rows.get(channel.group_name)  # None: all
             if "wf_increment" in about:
                 late = (about.get("wf_start_time", first) - first) / SECOND if starts else 0.0
-                time, most = channel.time_track() + late, len(channel)
+                time, most = channel.time_track() + late, None
             elif clock is not None and clock.dtype.kind == "M":
                 time = (clock[:most] - clock[0]) / SECOND
             elif clock is not None:
                 time = parse_unit(clock.properties.get("unit_string", "s")).factor * clock[:most]
-            most = most if time is None else min(most, len(time))
-            return time if time is None else time[:most], channel[:most], str(about.get("unit_string", ""))
+            samples = channel[:most]
+            if time is not None and len(time) != len(samples):
+                got = f"{len(time)} times, {channel.name} {len(samples)}"
+                raise Problem(f"{file}: expected columns of one length, got {got}")
+            return time, samples, str(about.get("unit_string", ""))
 
         yield [(channel.group_name, channel.name, partial(read, channel)) for channel in found]
 

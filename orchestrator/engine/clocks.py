@@ -146,9 +146,8 @@ class Clocks:
         calls: list[Any] = [*(network.get_calls if reads else network.set_calls)({*ports})]
         if calls and not reads:
             if self._circular:
-                calls = [
-                    partial(self._set_numbers, network.together(ports[0]), network.binding.program(calls))
-                ]
+                program = network.binding.program(calls)
+                calls = [partial(self._set_numbers, network.together(ports[0]), program)]
             calls = [*network.copies([c for c in network.connections if c.target in ports]), *calls]
         texts_of = self._read_text if reads else self._set_text
         return network.binding.program([*calls, *(partial(texts_of, p) for p in texts)])

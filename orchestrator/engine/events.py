@@ -33,14 +33,7 @@ from orchestrator.engine.result import Event
 from orchestrator.engine.stepped_fmu import SteppedFmu
 from orchestrator.engine.time_grid import TIME_TOLERANCE
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.fmi.instance import (
-    CLOSE,
-    MAX_EVENT_ITERATIONS,
-    MOST_CLOSE_EVENTS,
-    Unsettled,
-    chattering,
-    settle,
-)
+from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, Chatter, Unsettled, settle
 from orchestrator.ssp.dependencies import divides_at_events
 
 SHARE_OF_STEP = 1e-6  # of the step: tolerance of the time of an event, if less than TIME_TOLERANCE
@@ -80,9 +73,8 @@ class Instants:
         self.happened = list[Event]()
         self._changed = dict[str, None]()  # the signals, not continuous, that change in this instant
         self._updates = {name: slave.update for name, slave in self._members.items()}
-        self._close, self._latest = 0, deque[str](maxlen=10)
+        self._progress, self._latest = Chatter(job.times.start), deque[str](maxlen=10)
         self._clocks: Clocks | None = None
-        self._time = job.times.start
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -109,12 +101,12 @@ class Instants:
 
     def saved(self) -> list[Any]:
         """The events so far, for a saved run."""
-        clocks = self._clocks.saved() if self._clocks else []
-        return [self._time, self._close, [(e.time, e.causes) for e in self.happened], clocks]
+        events, last = [(e.time, e.causes) for e in self.happened], self._progress
+        return [last.time, last.close, events, self._clocks.saved() if self._clocks else []]
 
     def resume(self, saved: Sequence[Any]) -> None:
         """Go on from a saved run."""
-        self._time, self._close, events, clocks = saved
+        self._progress.time, self._progress.close, events, clocks = saved
         if self._clocks:
             self._clocks.resume(clocks)
         self.happened = [Event(time, tuple(causes)) for time, causes in events]
@@ -135,17 +127,12 @@ class Instants:
         except Ended:
             self._append(t, [*asked, *changed])
             raise
-        for name in (
-            announced.keys() & asked
-        ):  # an event at the beginning of a step that changes nothing is later
+        for name in announced.keys() & asked:  # one at the beginning of a step that changes nothing is later
             struct = self._network.components[name].struct
-            struct.locates = struct.locates and (bool(changed) or t > self._time)
+            struct.locates = struct.locates and (bool(changed) or t > self._progress.time)
         self._append(t, [*asked, *changed])
         self._latest.extend(changed or asked)
-        self._close = self._close + 1 if t - self._time <= CLOSE * self._times.step else 0
-        self._time = t
-        if self._close >= MOST_CLOSE_EVENTS:
-            raise chattering(", ".join(dict.fromkeys(self._latest)), t)
+        self._progress.check(self._latest, t, self._times.step)
 
     def inside(self, name: str, t: float) -> None:
         """The event of one FMU at a time [s] inside of a step that is not repeated."""

@@ -205,8 +205,7 @@ class _Supervision:
         elif name == "message":
             self._messages.append(replace(content, text=one_line(content.text)))
         elif name == "outcome" and content.errors.keys() <= self._outputs:
-            self._outcome, end = content, time.monotonic() + CLOSE_TIME
-            self._kill_at = min(self._kill_at, end)
+            self._outcome, self._kill_at = content, min(self._kill_at, time.monotonic() + CLOSE_TIME)
         elif name == "problem" and not self._state().steps:
             raise Problem(content)
         elif name in ("problem", "failed"):
@@ -250,12 +249,8 @@ class _Supervision:
         if self._layout is None and interrupted:
             raise KeyboardInterrupt(message)
         if self._outcome and self._outcome.complete:
-            return replace(
-                self._outcome,
-                closing=f"the run is complete; then {message}",
-                died=True,
-                interrupted=interrupted,
-            )
+            closing = f"the run is complete; then {message}"
+            return replace(self._outcome, closing=closing, died=True, interrupted=interrupted)
         first = f"{self._outcome.problem}; then " if self._outcome and self._outcome.problem else ""
         message = f"{first}{message}"  # many FMUs crash when they are freed
         problem = Problem(message)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -263,14 +263,12 @@ class Job:
         return replace(self, coupling=replace(c, adaptive=c.adaptive / 10, tolerance=tolerance))
 
 
-def uneven_steps(system: System, coupling: Coupling, times: Grid) -> list[str]:
+def uneven_steps(system: System, coupling: Coupling, times: Grid) -> Iterator[str]:
     """Notes on FMUs with a fixed step that get steps of another length."""
-    notes = list[str]()
     for name, component in system.components.items():
         fixed, step = component.interface.fixed_step, times.step / coupling.factors.get(name, 1)
         if fixed and abs(step - max(round(step / fixed), 1) * fixed) > SAME_TIME * step:
-            notes.append(f"{name}: expected multiples of its step, {fixed:g} s, got steps of {step:g} s")
-    return notes
+            yield f"{name}: expected multiples of its step, {fixed:g} s, got steps of {step:g} s"
 
 
 def guarded(system: System, coupling: Coupling) -> bool:

@@ -670,10 +670,9 @@ def write_events(card: Card, trace: Path) -> None:
             write_whole(file, lines.getvalue())
         elif file.is_file():
             with Location(file).opened() as stream:
-                if (
-                    stream.readline(MAX_HEADING).strip() == ",".join(head).encode()
-                ):  # it could be a trace of another name
-                    file.unlink()
+                found = stream.readline(MAX_HEADING).strip()
+            if found == ",".join(head).encode():  # it could be a trace of another name
+                file.unlink()
 
 
 def read_metadata(path: Path) -> RunMetadata | None:

@@ -129,10 +129,9 @@ def resume(file: Path, job: Job, loop: SimulationLoop) -> None:
     """Continue from a saved state in a run that has begun."""
     try:
         _resume(file, _read(file), job, loop)
-    except (*ZIP_ERRORS, LookupError, AttributeError, TypeError, MemoryError):
-        raise Problem(
-            f"{file}: expected the state of a run as --save-state writes it, got another or a damaged file"
-        ) from None
+    except (*ZIP_ERRORS, LookupError, AttributeError, ArithmeticError, TypeError, MemoryError):
+        expected = "expected the state of a run as --save-state writes it"
+        raise Problem(f"{file}: {expected}, got another or a damaged file") from None
 
 
 def _resume(file: Path, arrays: dict[str, Any], job: Job, loop: SimulationLoop) -> None:

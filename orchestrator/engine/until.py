@@ -59,9 +59,8 @@ def condition(system: System, until: str | Callable[[float, Row], Any]) -> Compa
     try:
         value = finite(number)
     except ValueError:
-        raise Problem(
-            f"until {until}: expected a finite number behind {found[2]}, got {found[3]!r}"
-        ) from None
+        expected = f"expected a finite number behind {found[2]}"
+        raise Problem(f"until {until}: {expected}, got {found[3]!r}") from None
     if unit:
         own = system.variable(system.port(names[0])).unit
         value = from_user_unit(unit, own, f"until {until}")(value)

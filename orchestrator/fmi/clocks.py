@@ -19,8 +19,7 @@ from orchestrator.fmi.messages import FATAL, WARNING
 
 UNKNOWN, CHANGED = 0, 2  # fmi3IntervalNotYetKnown, fmi3IntervalChanged
 APERIODIC = ("changing", "countdown")  # clocks whose interval may be 0
-INTERVAL = "GetIntervalDecimal", "GetIntervalFraction"
-SHIFT = "GetShiftDecimal", "GetShiftFraction"
+FORMS = "Decimal", "Fraction"  # of the calls that tell intervals and shifts
 
 
 class ClockCalls:
@@ -57,36 +56,34 @@ class ClockCalls:
 
     def interval(self, clock: FmuVariable) -> tuple[int, Fraction]:
         """fmi3IntervalQualifier and interval of a clock [s], as a fraction if the FMU has them."""
-        interval, qualifier = self._seconds(clock, *INTERVAL, ctypes.c_int)
+        interval, qualifier = self._seconds(clock, "Interval", ctypes.c_int)
         return qualifier[0], interval
 
     def shift(self, clock: FmuVariable) -> Fraction:
         """Time from the start to the first tick of a periodic clock [s]."""
         declared = clock.fraction("shift")
-        if declared is not None or not any(map(self._fmu.library.has, SHIFT)):
+        if declared is not None or not any(self._fmu.library.has(f"GetShift{form}") for form in FORMS):
             return declared or Fraction(0)
-        shift, _ = self._seconds(clock, *SHIFT)
+        shift, _ = self._seconds(clock, "Shift")
         if shift < 0:
-            got = f"got {float(shift):.9g} s"
-            raise Problem(f"{self._name}.{clock.name}: expected a shift of 0 s or more, {got}")
+            expected = "expected a shift of 0 s or more"
+            raise Problem(f"{self._name}.{clock.name}: {expected}, got {float(shift):.9g} s")
         return shift
 
-    def _seconds(
-        self, clock: FmuVariable, as_decimal: str, as_fraction: str, *more: Any
-    ) -> tuple[Fraction, Any]:
-        """A time of a clock [s], exactly as the FMU gives it, and the last of the other results."""
+    def _seconds(self, clock: FmuVariable, what: str, *more: Any) -> tuple[Fraction, Any]:
+        """Interval or shift of a clock [s], exact as the FMU gives it, and the last of the other results."""
         exact = clock.declares("supportsFraction")
         types: Sequence[Any] = (ctypes.c_uint64,) * 2 if exact else (ctypes.c_double,)
-        call, results = self._call(as_fraction if exact else as_decimal, clock, *types, *more)
+        call, results = self._call(f"Get{what}{FORMS[exact]}", clock, *types, *more)
         call()
         if more and results[-1][0] == UNKNOWN:
             return Fraction(0), results[-1]
         if exact and results[1][0]:
             return Fraction(results[0][0], results[1][0]), results[-1]
         if exact or not np.isfinite(seconds := results[0][0]):
-            name, what = f"{self._name}.{clock.name}", "a shift" if as_decimal in SHIFT else "an interval"
+            expected = f"expected {'a shift' if what == 'Shift' else 'an interval'} in seconds"
             got = f"{results[0][0]}/0" if exact else seconds
-            raise Problem(f"{name}: expected {what} in seconds, got {got}")
+            raise Problem(f"{self._name}.{clock.name}: {expected}, got {got}")
         return Fraction(repr(seconds)), results[-1]
 
     def ask(self, inputs: Iterable[FmuVariable]) -> None:

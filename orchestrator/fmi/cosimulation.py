@@ -29,16 +29,7 @@ from orchestrator.fmi.calls import (
 )
 from orchestrator.fmi.clocks import ClockCalls
 from orchestrator.fmi.description import FmuVariable, Value
-from orchestrator.fmi.instance import (
-    CLOSE,
-    MAX_VALUES,
-    MOST_CLOSE_EVENTS,
-    AfterCall,
-    FmuInstance,
-    chattering,
-    resources_location,
-    settle,
-)
+from orchestrator.fmi.instance import MAX_VALUES, AfterCall, Chatter, FmuInstance, resources_location, settle
 from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
@@ -62,12 +53,12 @@ class RunningFmu:
     event_mode = in_events = _asks = False
     next_event = float("inf")
     notes: tuple[str, ...] = ()
-    _inside, _close = float("nan"), 0  # the last event inside of a step, and how many close to each other
 
     def __init__(self, name: str, interface: FmuInterface, fmu: Location, after: AfterCall = None) -> None:
         """`after`: see `FmuInstance`."""
         self.name, self.interface, self.log = name, interface, Log(name, interface.marks)
         self._label, self._stepping, self._after = f"{name} ({fmu})", False, after
+        self._inside = Chatter(float("nan"))  # of events inside of steps
         self._cleanup = ExitStack()
         try:
             self._open(fmu)
@@ -94,10 +85,8 @@ class RunningFmu:
             raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.quoted_messages()}")
         if mode != face.event_mode:
             self.event_mode, self.interface = False, replace(face, event_mode=False)
-            refused = (
-                "declares event mode and refuses to be instantiated with it: its events are inside of steps"
-            )
-            self.notes = (f"{self.name}: the FMU {refused}{self.log.quoted_messages(1)}",)
+            refused = "declares event mode and refuses to be instantiated with it: its events are inside of"
+            self.notes = (f"{self.name}: the FMU {refused} steps{self.log.quoted_messages(1)}",)
             self.log.messages.clear()
         categories = [c.encode() for c in LOG_CATEGORIES if c in face.model.categories]
         if categories:
@@ -434,10 +423,7 @@ class RunningFmu:
     def event_inside(self, t: float) -> None:
         """An event of this FMU alone at a time [s] inside of a step, which others cannot repeat."""
         begin, end = self.log.clock[1:]
-        self._close = self._close + 1 if abs(t - self._inside) <= CLOSE * (end - begin) else 0
-        self._inside = t
-        if self._close >= MOST_CLOSE_EVENTS:
-            raise chattering(self.name, t)
+        self._inside.check([self.name], t, end - begin)
         self.log.time = t
         self.event_alone(lambda: None)
 

@@ -10,7 +10,7 @@ import ctypes
 import gc
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -466,10 +466,19 @@ class FmuInstance:
         return self.bound("UpdateDiscreteStates", *(ctypes.byref(info, place) for place in places)), info
 
 
-def chattering(names: str, t: float) -> Problem:
-    """For events at a time [s] that follow each other without progress."""
-    expected = f"expected time to pass between events, got {MOST_CLOSE_EVENTS} events without progress"
-    return Problem(f"{names}: t = {t:.9g} s: {expected} (chattering)")
+class Chatter:
+    """Refuses events without progress; time: of the last one [s], close: how many such in a row."""
+
+    def __init__(self, time: float) -> None:
+        self.time, self.close = time, 0
+
+    def check(self, names: Iterable[str], t: float, step: float) -> None:
+        """After an event of these FMUs in steps of a length [s]."""
+        self.close = self.close + 1 if abs(t - self.time) <= CLOSE * step else 0
+        self.time = t
+        if self.close >= MOST_CLOSE_EVENTS:
+            expected = f"expected time to pass between events, got {self.close} events without progress"
+            raise Problem(f"{', '.join(dict.fromkeys(names))}: t = {t:.9g} s: {expected} (chattering)")
 
 
 EventUpdate = Callable[[], tuple[bool, bool, float]]

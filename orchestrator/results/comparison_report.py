@@ -296,8 +296,7 @@ def verdict(comparison: Comparison) -> str:
 
 
 def _shown_quantities(comparison: Comparison) -> list[str]:
-    chosen = set(comparison.signals)
-    return [group for group, signals in comparison.quantities().items() if chosen.intersection(signals)]
+    return [name for name, of in comparison.quantities().items() if {*comparison.signals} & {*of}]
 
 
 def _worst_of_all(comparison: Comparison) -> tuple[str, ValidatedSignal] | None:

@@ -366,12 +366,8 @@ def _examined(
     source   of the readings, for messages
     """
     (component,) = system.components.values()
-    variables, found = component.interface.variables, list[tuple[str, str, str, str, tuple[str, ...]]]()
-    trace, values, remarks = _checked(component, trace, source)
-    for f in findings_in(system)[0]:
-        name = f.signals[0].partition(".")[2]
-        unit = variables[name].unit_name or "1"
-        found += [(name, f.text, unit, f.repair, f.words)] if f.repair else []
+    variables, (trace, values, remarks) = component.interface.variables, _checked(component, trace, source)
+    found = {f.signals[0].partition(".")[2]: f for f in findings_in(system)[0] if f.repair}
     if not found:
         raise Problem(f"{component.source}: expected outputs NAME, NAME_deviation and NAME_state, found none")
     outputs = [n for n, v in variables.items() if v.causality == "output"]
@@ -381,11 +377,11 @@ def _examined(
     scenario = ScenarioFile(trace, source, None)
     result = run(system, scenario, record=outputs, parameters=parameters, set=values | dict(set), **times)
     time, (component,), findings = np.asarray(result.time), result.system.components.values(), []
-    for one in found:
-        size, off, state = (np.asarray(result[f"{one[0]}{end}"]) for end in ("", "_deviation", "_state"))
-        reference = f"{one[0]}{REFERENCE}"
+    for name, f in found.items():
+        sizes, off, state = (np.asarray(result[f"{name}{end}"]) for end in ("", "_deviation", "_state"))
+        reference, about = f"{name}{REFERENCE}", (f.text, variables[name].unit_name or "1", f.repair)
         healthy = float(component.value(reference)) if reference in variables else 0.0
-        findings.append(Finding(*one[:4], time, size, off, state, healthy, one[4]))
+        findings.append(Finding(name, *about, time, sizes, off, state, healthy, f.words))
     remarks += [w for w in result.system.warnings if "did you mean" in w and REFERENCE not in w]
     name, valves = Path(source).name, {f.repair for f in findings if "_gain_" in f.name}
     if len(valves) > 1 and valves <= {f.repair for f in findings if f.broken}:

@@ -218,11 +218,10 @@ def late_effects(system: System, coupling: "Coupling") -> str:
     announced = declare if divides_at_events(system) else set[str]()
     held = [c for c in wires if not system.is_continuous(c) and c.source.component not in announced]
     events = [c.source.component for c in wires if c not in held and c.source.component in having]
-    silent = [f"events not announced by {first_names(n for n in events if n in announced)}"]
-    others = [f"events of {name}" for name in events if name not in announced]
-    return first_names(
-        [*silent * bool(announced.intersection(events)), *others, *(str(c.source) for c in held)]
-    )
+    late = [f"events of {name}" for name in events if name not in announced]
+    if silent := [name for name in events if name in announced]:
+        late.insert(0, f"events not announced by {first_names(silent)}")
+    return first_names([*late, *(str(c.source) for c in held)])
 
 
 @of_structure

@@ -283,10 +283,9 @@ class System:
                 found = self.components[component].interface.arrays.get(variable)
                 if found:
                     return found.shape, [Port(component, element) for element in found.elements]
-        alone = [
-            n for n, c in self.components.items() if len(self.components) == 1 and name in c.interface.arrays
-        ]
-        return self.array(f"{alone[0]}.{name}") if alone else None
+        for alone, one in self.components.items() if len(self.components) == 1 else ():
+            return self.array(f"{alone}.{name}") if name in one.interface.arrays else None
+        return None
 
     def pairs(self, source: str, target: str) -> list[tuple[Port, Port]] | None:
         """The elements that a connection of two arrays connects; None if neither end is one."""

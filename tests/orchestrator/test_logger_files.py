@@ -115,6 +115,11 @@ def test_times_of_a_tdms_file_may_be_a_channel(tmp_path):
         # rounding of microseconds
         np.testing.assert_allclose(found.values["time"], FAST + (4 if about else 0), atol=1e-9)
         assert found.units == {"time": "s", "P1": "bar"}
+    for count in (300, 500):  # other than the 400 times of a file that is complete
+        with TdmsWriter(tmp_path / "b.tdms") as log:
+            log.write_segment([ChannelObject("G", "Zeit", FAST), ChannelObject("G", "P1", np.arange(count))])
+        expected = f"{tmp_path / 'b.tdms'}: expected columns of one length, got 400 times, P1 {count}"
+        assert refusal(tmp_path / "b.tdms") == expected
 
 
 def test_a_log_drives_a_run(built, tmp_path):

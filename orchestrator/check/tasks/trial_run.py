@@ -22,7 +22,7 @@ from orchestrator.check.tasks.runner import InstanceOptions, Trial
 from orchestrator.fmi.calls import address
 from orchestrator.fmi.clocks import ClockCalls, Schedule
 from orchestrator.fmi.description import FLOATS, MAX_LOCALS, Entry, FmuVariable, ModelDescription
-from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, CallFailed, FmuInstance, settle
+from orchestrator.fmi.instance import MAX_EVENT_ITERATIONS, CallFailed, FmuInstance, Unsettled, settle
 from orchestrator.fmi.library import Library
 from orchestrator.fmi.messages import DISCARD, ERROR
 
@@ -317,21 +317,20 @@ class EventMode:
 
     def pass_through(self, time: float) -> bool:
         """An event at the end of a step, or of initialisation; True if the FMU ends the simulation."""
-        ended = False
         for _ in range(MAX_EVENT_ITERATIONS):
             for clock in (due := self._schedule.begin(time, TOLERANCE_OF_TIME)):
                 self._calls.tick(clock)
             for values in (self._outputs[clock] for clock in due):
                 self.sampled |= zip(values.names, values.get().tolist(), strict=True)
             update = {"the FMU": self._instance.update_discrete_states}
-            end, times = settle("the event iteration does not end", update)
+            ended, times = settle("the event iteration does not end", update)
             self._schedule.finish()
-            self.announced, ended = times["the FMU"], ended or bool(end)
+            self.announced = times["the FMU"]
             self._instance.call("EnterStepMode")
             if ended or self._schedule.next > time + TOLERANCE_OF_TIME:
-                break
+                return bool(ended)
             self._instance.call("EnterEventMode")
-        return ended
+        raise Unsettled(f"t = {time:.9g} s: expected time to pass between ticks, got {MAX_EVENT_ITERATIONS}")
 
     def bookmark(self) -> list[Any]:
         """What a saved FMU state does not have."""
@@ -451,8 +450,9 @@ class Simulation:
             return
         end = self.time + self.step if self.summed else self.start + self.step_count * self.step
         divides = self.trial.interface.declares("canHandleVariableCommunicationStepSize")
-        while divides and self.events and self.time < self.events.next < end - TOLERANCE_OF_TIME:
-            self._step_to(self.events.next, self.events.next - self.time)
+        events = self.events if divides else None
+        while events and not self._ended and self.time < events.next < end - TOLERANCE_OF_TIME:
+            self._step_to(events.next, events.next - self.time)
         if not self._ended:
             self._step_to(end, self.step if end - self.time > 0.5 * self.step else end - self.time)
 
