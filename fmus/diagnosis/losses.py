@@ -53,7 +53,7 @@ import casadi as ca
 from fmus.components.chamber import ATMOSPHERE
 from fmus.contract import Scalar
 from fmus.diagnosis.estimates import FEWEST, FORGOTTEN, QUICK, Fit, Told, either, judged, shown, whether
-from fmus.diagnosis.readings import ENDS, LEAST_DROP, PRESSURE, RELIEVING, SMALL, Axis
+from fmus.diagnosis.readings import ENDS, LEAST_DROP, NO_DROP, PRESSURE, RELIEVING, SMALL, Axis
 from fmus.diagnosis.unknowns import EDGES, LITRE, TABLE, chambers_of
 from fmus.smooth import positive
 
@@ -87,6 +87,7 @@ BEARING = 1.5e6  # Pa: a burst hose cannot hold it behind a closed valve
 LEAST_OPENING, LARGEST = 1e-5, 6e-5  # m2, of a burst hose
 NOMINAL_OVER_LEAST = 1.5  # flow of the known valve over the least one: `MARGIN` and `OUTLET`
 RISE = 5e4  # Pa, and a resolution: five times the noise of a pressure
+DRIFT = 3e5  # Pa/s, of a pressure below `BEARING` by leakage, through a closed valve or past a motor, with cold oil
 FILLING = 0.08  # s, with pressure, from which there is no void: flows are behind a lag and a bus
 SHOCK = 5e6  # Pa, by which a pressure is above its lag: an arm that is stopped hard, by an obstacle or an end
 SAG = 2e6  # Pa, by which the supply is off its lag: a pump that is overrun, or starts
@@ -208,7 +209,8 @@ def balance(a: Axis) -> dict[str, Told]:
         limit = swept * (TURN + p.angle_resolution)
         # whether the valve is open: by the return edge, or by the pressure since it opened
         before = m.state(f"before_{k}", f"Pressure before its valve opened, {ENDS[k]}", "Pa", pressure)
-        m.moves(f"before_{k}", whether(a.most[k] < p.closed_command) * (pressure - before) / FORGOTTEN)
+        most_drift, towards = ca.if_else(a.most[k] < p.closed_command, NO_DROP, DRIFT), (pressure - before) / FORGOTTEN
+        m.moves(f"before_{k}", ca.fmin(ca.fmax(towards, -most_drift), most_drift))
         held, change = whether(before > BEARING), ca.fabs(pressure - before)
         known, passing = whether(returned > LEAST_FLOW), whether(-other > returned)
         through = jet * LEAST_OPENING * ca.sqrt(positive(pressure - tank, SMALL))
