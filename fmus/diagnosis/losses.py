@@ -218,13 +218,14 @@ def balance(a: Axis) -> dict[str, Told]:
         # what it has lost, a void before
         gained = ca.fmax(other - high - soft_of_other, 0) * a.filled[1 - k]
         gained *= OUTLET * ca.fmax(area / a.areas[1 - k], 1)
-        loss = asked * ca.if_else(known > 0, passing, burst) - flow - most - gained
-        void = ca.if_else(flow > 0, asked - flow, ca.fmax(loss, 0))
+        least_in, most_out = _seen(a, k, asked, oil[1 - k][0], most)
+        loss = ca.fmax(asked * ca.if_else(known > 0, passing, burst), least_in) - flow - most_out - gained
+        void = ca.if_else(flow > 0, ca.fmax(asked, least_in) - flow, ca.fmax(loss, 0))
         lost = m.state(f"lost_{k}", f"Oil lost beyond its valve, or less than none: a void, {ENDS[k]}", "m3")
         excess = loss - swept * CREEP - soft
-        excess *= ca.if_else(excess > 0, below[k] * whether(loss > through), 1)
         filling = m.sum(f"filled_{k}", f"Time for which it is not empty, {ENDS[k]}", 1, a.filled[k])
         empty = whether(filling < FILLING)
+        excess *= ca.if_else(excess > 0, below[k] * whether(loss > through * (1 - empty)), 1)
         unknown = -CREDIT * a.capacitances[k] * p.nominal_supply_pressure
         opens = ca.if_else(lost < 0, void, ca.if_else(excess > 0, excess, ca.fmin(void, 0)))
         opens = ca.if_else(counts > 0, opens, ca.fmin(void, (unknown - lost) / FORGOTTEN))
@@ -269,3 +270,18 @@ def _expected(a: Axis, k: int) -> tuple[Scalar, ...]:
     air = p.bulk_modulus * ca.fmax(a.reference("air"), 0) * air_volume(lowest) / (EXPONENT * absolute)
     soft = (SOFT + air) * a.capacitances[k] * ca.fabs(a.rate[2 + k])
     return asked, least, OUTLET * full * widest - least, OUTLET * most, soft
+
+
+def _seen(a: Axis, k: int, asked: Scalar, asked_of_other: Scalar, most: Scalar) -> tuple[Scalar, Scalar]:
+    """Least flow in and most out of a chamber by the opening that the flow of the other one shows [m3/s]."""
+    p, other, off = a.p, 1 - k, 2 * a.p.zero_limit
+    tank, supply = a.u.tank_pressure, a.u.supply_pressure
+    known = a.full[other] * (1 - a.compensated)
+
+    def root(drop: Scalar) -> Scalar:
+        return ca.sqrt(positive(drop, SMALL))
+
+    inward = root(supply - a.pressures[k] - off) / (a.reference(EDGES[k]) * root(a.pressures[other] - tank + off))
+    outward = a.reference(EDGES[other]) * root(a.pressures[k] - tank + off) / root(supply - a.pressures[other] - off)
+    least = -a.flows[other] * inward / OUTLET * known * whether(asked > 0)
+    return least, ca.if_else(known * whether(asked_of_other > 0) > 0, ca.fmin(most, a.flows[other] * outward * OUTLET), most)
