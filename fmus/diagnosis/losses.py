@@ -198,6 +198,7 @@ def balance(a: Axis) -> dict[str, Told]:
     m.moves("shaken", ca.if_else(even > 0, -ca.fmin(1, shaken / QUICK), (CALMED - shaken) / QUICK))
     followed = even * whether(shaken < QUICK / 2)
     counts, usable, stuck = sound * tight * whether(calm > CALMED), a.usable * (1 - a.spool), 0
+    obeys: Scalar = 1
     lines = zip(a.pressures, a.late[2:], strict=True)
     below = [whether(ca.fmax(*v) < a.u.supply_pressure - 2 * p.zero_limit) for v in lines]
     oil = [_expected(a, k) for k in (0, 1)]
@@ -219,7 +220,8 @@ def balance(a: Axis) -> dict[str, Told]:
         gained = ca.fmax(other - high - soft_of_other, 0) * a.filled[1 - k]
         gained *= OUTLET * ca.fmax(area / a.areas[1 - k], 1)
         least_in, most_out = _seen(a, k, asked, oil[1 - k][0], most)
-        loss = ca.fmax(asked * ca.if_else(known > 0, passing, burst), least_in) - flow - most_out - gained
+        inflow = ca.fmax(asked * ca.if_else(known > 0, passing, burst), least_in)
+        loss = inflow - flow - most_out - gained
         void = ca.if_else(flow > 0, ca.fmax(asked, least_in) - flow, ca.fmax(loss, 0))
         lost = m.state(f"lost_{k}", f"Oil lost beyond its valve, or less than none: a void, {ENDS[k]}", "m3")
         excess = loss - swept * CREEP - soft
@@ -232,7 +234,10 @@ def balance(a: Axis) -> dict[str, Told]:
         closes = ca.fmax(excess * counts, -lost / QUICK)
         change_of_oil = ca.if_else(empty > 0, opens, closes)
         m.moves(f"lost_{k}", ca.if_else(sound > 0, change_of_oil, -ca.fmax(lost, 0) / QUICK))
-        told[mark.format("burst")] = shown(a.burst[k], usable)
+        hidden = most_in + most_out - inflow + swept * CREEP + soft  # what may come and go without being told
+        seen = counts * below[k] * (1 - empty) * (through - hidden) / limit
+        sees = m.power(f"sees_{k}", f"A burst hose would be told, {ENDS[k]}", seen, 1)
+        told[mark.format("burst")] = shown(a.burst[k], usable * sees)
         size = whether(lost > limit) * ca.fmax(loss, LITRE)
         m.latch(f"burst_{k}", a.burst[k], size * (1 - a.spool) * a.sound)
         # what does not come though a valve should be open, and what comes though it is closed
@@ -242,16 +247,20 @@ def balance(a: Axis) -> dict[str, Told]:
         still = (RESPONSE * asked - ca.fmax(flow, 0)) * ca.if_else(known > 0, 1 - passing, shows)
         # not of an arm that rebounds, also from the end of a stroke
         left = END if a.axis.turns else (getattr(p, a.axis.name).stroke - a.position, a.position)[k]
-        asks = sound * followed * whether(ca.fmax(-flow, other) < asked / 2) * whether(left >= END)
+        asks = sound * followed * whether(left >= END)
+        enough = MISSING + swept * p.angle_resolution
+        text = f"A spool that does not follow would be told, {ENDS[k]}"
+        would = either(known, shows) * RESPONSE * asked * asks / enough
+        obeys *= m.power(f"obeys_{k}", text, would, whether(a.most[k] > p.closed_command))
+        asks *= whether(ca.fmax(-flow, other) < asked / 2)
         missing = m.sum(f"missing_{k}", f"Oil that does not come, {ENDS[k]}", still, asks, "m3", FORGOTTEN)
         passes = ca.fmin(flow - most_in - soft, -most_of_other - other - soft_of_other) - LEAST_FLOW
         passes *= a.filled[0] * a.filled[1] * below[1 - k]
         text = f"Oil that comes beyond what its valve lets in, {ENDS[k]}"
         passed = m.sum(f"passed_{k}", text, passes, counts, "m3", FORGOTTEN)
-        enough = MISSING + swept * p.angle_resolution
         stuck = either(stuck, whether(ca.fmax(missing, passed / PASSING) > enough))
     m.latch("spool", a.spool, stuck * (1 - a.burst_told))
-    return told | {"spool": shown(a.spool, a.usable)}
+    return told | {"spool": shown(a.spool, a.usable * obeys)}
 
 
 def _expected(a: Axis, k: int) -> tuple[Scalar, ...]:

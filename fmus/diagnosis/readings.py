@@ -212,5 +212,7 @@ class Axis:
             self.doubted.append(whether(time > DOUBTED * p.still_time))
             wrong = either(self.outside[k] * self.connected, long) * self.fitted[k]
             self.m.latch(f"bad_{k}", self._bad[k], wrong)
-            found[f"{n}_sensor"] = shown(self._bad[k], self.fitted[k])
+            alive = self.m.state(f"alive_{k}", f"1: {n} has changed")
+            self.m.latch(f"alive_{k}", alive, self.connected * (1 - still))
+            found[f"{n}_sensor"] = shown(self._bad[k], self.fitted[k] * alive)
         return found
