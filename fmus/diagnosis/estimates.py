@@ -28,7 +28,9 @@ from fmus.contract import Quantity, Scalar
 
 SAMPLING = QUICK = 0.01  # s, between two samples of the diagnosis; in which a latch or a sum is set
 FORGOTTEN = 0.1  # s, in which a sum is forgotten
-UNSEEN = 5.0  # s, for which "none" holds after a fault would have been told the last time: a stroke and a pause
+UNSEEN = (
+    5.0  # s, for which "none" holds after a fault would have been told the last time: a stroke and a pause
+)
 DOUBT = 4.0  # samples
 FEWEST = 10.0  # samples, from which a size is told
 # deviations by which a size is above its limit: of 27 sizes, new every 10 s, one by chance in 100 h
@@ -91,7 +93,6 @@ class States:
         total = self.state(name, text, unit)
         self.moves(name, ca.fmax(excess * counts - (1 - counts) * total / fade, -total / QUICK))
         return total
-
 
     def power(self, name: str, text: str, rate: Scalar, fades: Scalar) -> Scalar:
         """Whether a fault would have been told if there was one, within `UNSEEN` of time in which it fades.

@@ -210,23 +210,28 @@ def balance(a: Axis) -> dict[str, Told]:
         limit = swept * (TURN + p.angle_resolution)
         # whether the valve is open: by the return edge, or by the pressure since it opened
         before = m.state(f"before_{k}", f"Pressure before its valve opened, {ENDS[k]}", "Pa", pressure)
-        most_drift, towards = ca.if_else(a.most[k] < p.closed_command, NO_DROP, DRIFT), (pressure - before) / FORGOTTEN
+        most_drift, towards = (
+            ca.if_else(a.most[k] < p.closed_command, NO_DROP, DRIFT),
+            (pressure - before) / FORGOTTEN,
+        )
         m.moves(f"before_{k}", ca.fmin(ca.fmax(towards, -most_drift), most_drift))
         held, change = whether(before > BEARING), ca.fabs(pressure - before)
         known, passing = whether(returned > LEAST_FLOW), whether(-other > returned)
         through = jet * LEAST_OPENING * ca.sqrt(positive(pressure - tank, SMALL))
         burst = whether(change > least) * whether(asked - flow > through) * (1 - held)
         # what it has lost, a void before
+        filling = m.sum(f"filled_{k}", f"Time for which it is not empty, {ENDS[k]}", 1, a.filled[k])
+        empty = whether(filling < FILLING)
         gained = ca.fmax(other - high - soft_of_other, 0) * a.filled[1 - k]
         gained *= OUTLET * ca.fmax(area / a.areas[1 - k], 1)
-        least_in, most_out = _seen(a, k, asked, oil[1 - k][0], most)
+        least_in, most_out = _seen(
+            a, k, *(empty * whether(o > 0) for o in (asked, oil[1 - k][0])), most_in, most
+        )
         inflow = ca.fmax(asked * ca.if_else(known > 0, passing, burst), least_in)
         loss = inflow - flow - most_out - gained
         void = ca.if_else(flow > 0, ca.fmax(asked, least_in) - flow, ca.fmax(loss, 0))
         lost = m.state(f"lost_{k}", f"Oil lost beyond its valve, or less than none: a void, {ENDS[k]}", "m3")
         excess = loss - swept * CREEP - soft
-        filling = m.sum(f"filled_{k}", f"Time for which it is not empty, {ENDS[k]}", 1, a.filled[k])
-        empty = whether(filling < FILLING)
         excess *= ca.if_else(excess > 0, below[k] * whether(loss > through * (1 - empty)), 1)
         unknown = -CREDIT * a.capacitances[k] * p.nominal_supply_pressure
         opens = ca.if_else(lost < 0, void, ca.if_else(excess > 0, excess, ca.fmin(void, 0)))
@@ -281,16 +286,28 @@ def _expected(a: Axis, k: int) -> tuple[Scalar, ...]:
     return asked, least, OUTLET * full * widest - least, OUTLET * most, soft
 
 
-def _seen(a: Axis, k: int, asked: Scalar, asked_of_other: Scalar, most: Scalar) -> tuple[Scalar, Scalar]:
-    """Least flow in and most out of a chamber by the opening that the flow of the other one shows [m3/s]."""
+def _seen(
+    a: Axis, k: int, fills: Scalar, empties: Scalar, most_in: Scalar, most: Scalar
+) -> tuple[Scalar, Scalar]:
+    """Least flow into a chamber and most out of it, by the opening that the flow of the other one shows [m3/s].
+
+    fills, empties   1: its valve is certainly open, and this is asked for
+    most_in, most    by the command
+    """
     p, other, off = a.p, 1 - k, 2 * a.p.zero_limit
-    tank, supply = a.u.tank_pressure, a.u.supply_pressure
+    tank, supply, flow = a.u.tank_pressure, a.u.supply_pressure, a.flows[other]
     known = a.full[other] * (1 - a.compensated)
 
     def root(drop: Scalar) -> Scalar:
         return ca.sqrt(positive(drop, SMALL))
 
-    inward = root(supply - a.pressures[k] - off) / (a.reference(EDGES[k]) * root(a.pressures[other] - tank + off))
-    outward = a.reference(EDGES[other]) * root(a.pressures[k] - tank + off) / root(supply - a.pressures[other] - off)
-    least = -a.flows[other] * inward / OUTLET * known * whether(asked > 0)
-    return least, ca.if_else(known * whether(asked_of_other > 0) > 0, ca.fmin(most, a.flows[other] * outward * OUTLET), most)
+    inward = (
+        root(supply - a.pressures[k] - off) / root(a.pressures[other] - tank + off) / a.reference(EDGES[k])
+    )
+    outward = (
+        root(a.pressures[k] - tank + off)
+        / root(supply - a.pressures[other] - off)
+        * a.reference(EDGES[other])
+    )
+    least_in = ca.fmin(-flow * inward / OUTLET, most_in) * known * fills
+    return least_in, ca.if_else(known * empties > 0, ca.fmin(flow * outward * OUTLET, most), most)
