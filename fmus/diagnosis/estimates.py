@@ -95,10 +95,7 @@ class States:
         return total
 
     def power(self, name: str, text: str, rate: Scalar, fades: Scalar) -> Scalar:
-        """Whether a fault would have been told if there was one, within `UNSEEN` of time in which it fades.
-
-        rate   [1/s] at which its sum would come to its limit, 1
-        """
+        """1: a fault would have been told, as a rate [1/s] summed up to 1; for `UNSEEN` while it fades."""
         seen = self.state(name, text)
         rate = ca.if_else(rate > 0, ca.fmin(rate, (2 - seen) / QUICK), -fades / UNSEEN)
         self.moves(name, ca.fmax(rate, -seen / QUICK))

@@ -56,8 +56,8 @@ COLDEST = 200.0  # K
 # parameter of the usual size of a reading, and times that size, or one over it, which are doubtful: units of
 # pressure differ by 7 (psi, kPa) or more
 NOMINAL, UNUSUAL = "nominal_", 5.0
-# a function was commanded beyond this share of full command; s, over which readings are means; by how much these
-# differ at most of one that stands still: a gyro, an angle, pressures from one mean to the next
+# share of full command from which a function was commanded; s, over which readings are means; how much these
+# differ at most if it stands still: of a gyro, an angle, and pressures from one mean to the next
 COMMANDED, STANDS = 0.1, 0.5
 MOTION = {("rad/s", "m/s"): 0.03, ("rad", "m"): OFF, ("Pa",): 1e6}
 EVEN = 1e6  # Pa, below which a return line may have one pressure, and above which that of a pump is held
@@ -538,17 +538,17 @@ def _standing(component: Component, trace: Trace) -> dict[str, str]:
     """
     variables, commands = component.interface.variables, [n for n in trace if n.endswith("_command")]
     full = min((float(component.value(n)) for n in variables if n.endswith("_full_command")), default=0.0)
-    rows = max(1, round(STANDS / float(np.median(np.diff(trace.time)))))
-    own, found = dict[str, list[str]](), dict[str, str]()
+    rows, own = round(STANDS / float(np.median(np.diff(trace.time)))) or 1, dict[str, list[str]]()
     for name in (n for n in trace if n not in commands):
         of = (n for n in commands if name.startswith(n.removesuffix("command")))
         own.setdefault(max(of, key=len, default=""), []).append(name)
-    for command in (n for n in own if n and np.abs(trace[n]).max() > COMMANDED * full):
+    found, count = dict[str, str](), len(trace.time) // rows
+    for command in (n for n in own if n and count > 1 and np.abs(trace[n]).max() > COMMANDED * full):
         live = [n for n in own[command] if np.ptp(trace[n])]
         for units, most in MOTION.items():
             seen = [n for n in live if variables[n].unit_name in units]
-            means = [trace[n][: len(trace.time) // rows * rows].reshape(-1, rows).mean(1) for n in seen]
-            if means and max(np.ptp(np.diff(v) if "Pa" in units else v) for v in means) < most:
+            means = [trace[n][: count * rows].reshape(count, rows).mean(1) for n in seen]
+            if means and all(np.ptp(np.diff(v) if "Pa" in units else v) < most for v in means):
                 line = f"the {command.removesuffix('_command')} stands still under its commands"
                 found |= dict.fromkeys(own[command], line)
             if means:
