@@ -474,14 +474,14 @@ def test_a_force_is_as_uncertain_as_the_slope_without_slewing(outputs):
         ("swing_sees_0", {}, "swing_burst_a"),
         ("stick_obeys_0", {"stick_obeys_1": 2.0}, "stick_spool"),
         ("stick_obeys_1", {"stick_obeys_0": 2.0}, "stick_spool"),
-        ("boom_alive_0", {}, "boom_angle_sensor"),
+        ("boom_bad_0", {}, "boom_angle_sensor"),
         ("hot", {}, "oil_temperature_high"),
     ],
 )
 def test_none_is_not_told_of_what_was_not_seen(outputs, state, of, finding):
     """It is not known until a fault would have been told: a spool both ways, a sensor once it has changed."""
     sums = of | {f"{a}_usable": 1.0 for a in ("swing", "boom", "stick")}
-    unseen, seen = (-1.0, 0.0) if state == "hot" else (0.0, 2.0 if "alive" not in state else 1.0)
+    unseen, seen = (0.0, 2.0) if "sees" in state or "obeys" in state else (-1.0, 0.0)
     assert outputs(sums | {state: unseen}, {})[f"{finding}_state"] == -1
     assert outputs(sums | {state: seen}, {})[f"{finding}_state"] == 0
 
