@@ -212,6 +212,6 @@ class Axis:
             self.doubted.append(whether(time > DOUBTED * p.still_time))
             wrong = either(self.outside[k] * self.connected, long) * self.fitted[k]
             bad, known = self._bad[k], (1 - still) * self.connected - 1
-            self.m.latch(f"bad_{k}", bad, ca.fmax(wrong, known))
+            self.m.latch(f"bad_{k}", bad, ca.fmax(2 * wrong - 1, known))
             found[f"{n}_sensor"] = shown(ca.fmax(bad, 0), self.fitted[k] * whether(bad > -0.5))
         return found

@@ -208,6 +208,9 @@ def test_a_function_that_stands_still_has_no_missing_sensor(fmu, columns, tmp_pa
     assert f"{function}_angle is" in found.remarks[0]
     assert all(line in remark for remark in found.remarks)
     assert [f.repair for f in found.broken] == ([] if "pressure" in without else [f"{function} valve"])
+    states = {f.name: f.state for f in found.findings}
+    assert (states[f"{function}_angle_sensor"] == -1).all()  # it may stand still as well
+    assert states["supply_pressure_sensor"][-1] == 0
 
 
 def moves_by_gyro(columns):
