@@ -294,7 +294,8 @@ def _expected(a: Axis, k: int) -> tuple[Scalar, ...]:
 
 def _seen(a: Axis, k: int, empty: Scalar, oil: list[tuple[Scalar, ...]]) -> tuple[Scalar, Scalar]:
     """Least flow into an empty chamber, most out of it, by the opening that the flow of the other shows."""
-    known, off, other = empty * a.full[1 - k] * (1 - a.compensated), 2 * a.p.zero_limit, a.pressures[1 - k]
+    known = empty * a.full[1 - k] * (1 - a.compensated) * (1 - a.burst_told)
+    off, other = 2 * a.p.zero_limit, a.pressures[1 - k]
     fills, empties = (known * whether(oil[j][0] > 0) for j in (k, 1 - k))
     to_line, from_line, (*_, most_in, most, _) = a.u.supply_pressure - off, a.u.tank_pressure - off, oil[k]
     drops = to_line - a.pressures[k], other - from_line, a.pressures[k] - from_line, to_line - other

@@ -184,7 +184,9 @@ def test_the_flow_of_one_side_bounds_that_of_the_other(fills, zeros):
         SimpleNamespace(zero_limit=3e5 * abs(zeros)),
         SimpleNamespace(supply_pressure=supply - off, tank_pressure=tank + off),
     )
-    axis = SimpleNamespace(p=p, u=u, full=[1, 1], compensated=0, pressures=[own + off, other - off])
+    axis = SimpleNamespace(
+        p=p, u=u, full=[1, 1], compensated=0, burst_told=0, pressures=[own + off, other - off]
+    )
     axis.flows, axis.reference = [0.0, -out[1] if fills else into[1]], lambda _: e
     oil = [(float(fills), 0, 1.0, 1.0, 0), (float(not fills), 0, 1.0, 1.0, 0)]
     least, most = (float(v) for v in losses._seen(axis, 0, 1.0, oil))
