@@ -28,6 +28,9 @@ from fmus.contract import Quantity, Scalar
 
 SAMPLING = QUICK = 0.01  # s, between two samples of the diagnosis; in which a latch or a sum is set
 FORGOTTEN = 0.1  # s, in which a sum is forgotten
+UNSEEN = (
+    5.0  # s, for which "none" holds after a fault would have been told the last time: a stroke and a pause
+)
 DOUBT = 4.0  # samples
 FEWEST = 10.0  # samples, from which a size is told
 # deviations by which a size is above its limit: of 27 sizes, new every 10 s, one by chance in 100 h
@@ -90,6 +93,13 @@ class States:
         total = self.state(name, text, unit)
         self.moves(name, ca.fmax(excess * counts - (1 - counts) * total / fade, -total / QUICK))
         return total
+
+    def power(self, name: str, text: str, rate: Scalar, fades: Scalar) -> Scalar:
+        """1: a fault would have been told, as a rate [1/s] summed up to 1; for `UNSEEN` while it fades."""
+        seen = self.state(name, text)
+        rate = ca.if_else(rate > 0, ca.fmin(rate, (2 - seen) / QUICK), -fades / UNSEEN)
+        self.moves(name, ca.fmax(rate, -seen / QUICK))
+        return whether(seen > 1)
 
 
 @dataclass

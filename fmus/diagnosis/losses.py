@@ -38,6 +38,14 @@ lets oil out, or if that is not known, if the pressure has changed since the val
 edge is closed, or if that is not known, while the pressure stays where no burst hose would hold it, or where
 one would let it rise; or if `PASSING` of it passes beyond what its edges let in and out.
 
+**Other side.** The opening of a valve that is certainly open follows from flow and drop of the other chamber
+better than from its command: an edge lets through a share sqrt(dP/dP_o) of that flow, times e or over it,
+with zeros of sensors on the safe side. It counts for an empty chamber, whose own pressure shows nothing.
+
+**None** is told of a burst hose for some time after one of `LEAST_OPENING` would have been told: what its jet
+loses is more than what may come and go through the valve unseen. Of a spool after one that stands still would
+have been told in both directions.
+
 A relief valve that opens, a pressure that jumps up, a supply that changes, an impact, and a gap of readings
 make volumes uncertain: no loss counts for `CALMED`, and an empty chamber has a void of `CREDIT` of what the
 other one holds by its pressure.
@@ -53,9 +61,8 @@ import casadi as ca
 from fmus.components.chamber import ATMOSPHERE
 from fmus.contract import Scalar
 from fmus.diagnosis.estimates import FEWEST, FORGOTTEN, QUICK, Fit, Told, either, judged, shown, whether
-from fmus.diagnosis.readings import ENDS, LEAST_DROP, PRESSURE, RELIEVING, SMALL, Axis
+from fmus.diagnosis.readings import ENDS, LEAST_DROP, NO_DROP, PRESSURE, RELIEVING, SMALL, Axis
 from fmus.diagnosis.unknowns import EDGES, LITRE, TABLE, chambers_of
-from fmus.smooth import positive
 
 HOLDING = 0.8  # s, settling of a compensated section, whose counterbalance valves close last
 SHORTEST, PART = 0.15, 1.0  # s, a rest that counts, and a part of a long one
@@ -87,6 +94,7 @@ BEARING = 1.5e6  # Pa: a burst hose cannot hold it behind a closed valve
 LEAST_OPENING, LARGEST = 1e-5, 6e-5  # m2, of a burst hose
 NOMINAL_OVER_LEAST = 1.5  # flow of the known valve over the least one: `MARGIN` and `OUTLET`
 RISE = 5e4  # Pa, and a resolution: five times the noise of a pressure
+DRIFT = 3e5  # Pa/s, of a pressure below `BEARING` by leakage: past a motor, through a valve that stays closed
 FILLING = 0.08  # s, with pressure, from which there is no void: flows are behind a lag and a bus
 SHOCK = 5e6  # Pa, by which a pressure is above its lag: an arm that is stopped hard, by an obstacle or an end
 SAG = 2e6  # Pa, by which the supply is off its lag: a pump that is overrun, or starts
@@ -100,6 +108,11 @@ STANDBY, STOPPED = 3.5e6, 1e6  # Pa, up to which a load-sensing pump stands by; 
 def air_volume(pressure: Scalar) -> Scalar:
     """Of air at a gauge pressure [Pa], over that at the atmosphere."""
     return (ATMOSPHERE / ca.fmax(pressure + ATMOSPHERE, 0.1 * ATMOSPHERE)) ** (1 / EXPONENT)
+
+
+def root(drop: Scalar) -> Scalar:
+    """Of a pressure drop, without a root of nothing [Pa^0.5]."""
+    return ca.sqrt(ca.fmax(drop, SMALL / 2))
 
 
 def air_limit(healthy: Scalar, p: Any) -> Scalar:
@@ -129,9 +142,7 @@ def _rests(a: Axis) -> tuple[Any, Scalar, Scalar]:
         m.moves(name, ca.if_else(goes_on > 0, growth, -total / QUICK))
         return total
 
-    def root(pressure: Scalar) -> Scalar:
-        return ca.sqrt(positive(pressure, SMALL) / PRESSURE)
-
+    unit = math.sqrt(PRESSURE)
     difference = over("difference", "Difference of both pressures", "Pa.s", a.pressures[0] - a.pressures[1])
     leakage = ca.if_else(a.compensated > 0, 0, actuator.valve.leakage)
     level, areas = a.u.supply_pressure + a.u.tank_pressure, (actuator.head_area, actuator.rod_area)
@@ -140,8 +151,8 @@ def _rests(a: Axis) -> tuple[Any, Scalar, Scalar]:
         sign, lost, end = 1 - 2 * k, leakage * (level - 2 * v) - a.flows[k], ENDS[k]
         oil = over(f"oil_{k}", f"Loss but through the closed valve, {end}", "m3", lost)
         pressed = over(f"pressed_{k}", f"Change of its pressure, {end}", "Pa", a.rate[2 + k])
-        jet = over(f"jet_{k}", f"Root of its pressure, {end}", "s", root(v))
-        inlet, outlet = root(a.u.supply_pressure - v), root(v - a.u.tank_pressure)
+        jet = over(f"jet_{k}", f"Root of its pressure, {end}", "s", root(v) / unit)
+        inlet, outlet = (root(d) / unit for d in (a.u.supply_pressure - v, v - a.u.tank_pressure))
         growth, text = ca.if_else(sign * a.trailing > 0, -inlet, outlet), "the edge that was open last"
         through = over(f"through_{k}", f"Root of the drop over {text}, {end}", "s", growth)
         change = ca.if_else(goes_on * whether(rest > 0) > 0, 0, 1 - calm[k] - spoiled[k])
@@ -197,39 +208,47 @@ def balance(a: Axis) -> dict[str, Told]:
     m.moves("shaken", ca.if_else(even > 0, -ca.fmin(1, shaken / QUICK), (CALMED - shaken) / QUICK))
     followed = even * whether(shaken < QUICK / 2)
     counts, usable, stuck = sound * tight * whether(calm > CALMED), a.usable * (1 - a.spool), 0
+    obeys: Scalar = 1
     lines = zip(a.pressures, a.late[2:], strict=True)
     below = [whether(ca.fmax(*v) < a.u.supply_pressure - 2 * p.zero_limit) for v in lines]
     oil = [_expected(a, k) for k in (0, 1)]
     jet, least = a.actuator.gain / a.actuator.valve.area, RISE + p.pressure_resolution
     for k, (mark, area) in enumerate(zip(chambers_of(a.axis), a.areas, strict=True)):
-        flow, pressure, (asked, _, most_in, most, soft) = a.flows[k], a.pressures[k], oil[k]
+        flow, pressure, (asked, _, most_in, _, soft) = a.flows[k], a.pressures[k], oil[k]
         other, (_, returned, high, most_of_other, soft_of_other) = a.flows[1 - k], oil[1 - k]
         swept = area * ca.fabs(a.lever)
         limit = swept * (TURN + p.angle_resolution)
         # whether the valve is open: by the return edge, or by the pressure since it opened
         before = m.state(f"before_{k}", f"Pressure before its valve opened, {ENDS[k]}", "Pa", pressure)
-        m.moves(f"before_{k}", whether(a.most[k] < p.closed_command) * (pressure - before) / FORGOTTEN)
+        drift = ca.if_else(a.most[k] < p.closed_command, NO_DROP, DRIFT)
+        towards = (pressure - before) / FORGOTTEN
+        m.moves(f"before_{k}", ca.fmin(ca.fmax(towards, -drift), drift))
         held, change = whether(before > BEARING), ca.fabs(pressure - before)
         known, passing = whether(returned > LEAST_FLOW), whether(-other > returned)
-        through = jet * LEAST_OPENING * ca.sqrt(positive(pressure - tank, SMALL))
+        through = jet * LEAST_OPENING * root(pressure - tank)
         burst = whether(change > least) * whether(asked - flow > through) * (1 - held)
         # what it has lost, a void before
-        gained = ca.fmax(other - high - soft_of_other, 0) * a.filled[1 - k]
-        gained *= OUTLET * ca.fmax(area / a.areas[1 - k], 1)
-        loss = asked * ca.if_else(known > 0, passing, burst) - flow - most - gained
-        void = ca.if_else(flow > 0, asked - flow, ca.fmax(loss, 0))
-        lost = m.state(f"lost_{k}", f"Oil lost beyond its valve, or less than none: a void, {ENDS[k]}", "m3")
-        excess = loss - swept * CREEP - soft
-        excess *= ca.if_else(excess > 0, below[k] * whether(loss > through), 1)
         filling = m.sum(f"filled_{k}", f"Time for which it is not empty, {ENDS[k]}", 1, a.filled[k])
         empty = whether(filling < FILLING)
+        gained = ca.fmax(other - high - soft_of_other, 0) * a.filled[1 - k]
+        gained *= OUTLET * ca.fmax(area / a.areas[1 - k], 1)
+        least_in, most_out = _seen(a, k, empty, oil)
+        inflow = ca.fmax(asked * ca.if_else(known > 0, passing, burst), least_in)
+        loss = inflow - flow - most_out - gained
+        void = ca.if_else(flow > 0, ca.fmax(asked, least_in) - flow, ca.fmax(loss, 0))
+        lost = m.state(f"lost_{k}", f"Oil lost beyond its valve, or less than none: a void, {ENDS[k]}", "m3")
+        excess = loss - swept * CREEP - soft
+        excess *= ca.if_else(excess > 0, below[k] * whether(loss > through * (1 - empty)), 1)
         unknown = -CREDIT * a.capacitances[k] * p.nominal_supply_pressure
         opens = ca.if_else(lost < 0, void, ca.if_else(excess > 0, excess, ca.fmin(void, 0)))
         opens = ca.if_else(counts > 0, opens, ca.fmin(void, (unknown - lost) / FORGOTTEN))
         closes = ca.fmax(excess * counts, -lost / QUICK)
         change_of_oil = ca.if_else(empty > 0, opens, closes)
         m.moves(f"lost_{k}", ca.if_else(sound > 0, change_of_oil, -ca.fmax(lost, 0) / QUICK))
-        told[mark.format("burst")] = shown(a.burst[k], usable)
+        hidden = most_in + most_out - inflow + swept * CREEP + soft  # what may come and go without being told
+        seen = counts * below[k] * (1 - empty) * (through - hidden) / limit
+        sees = m.power(f"sees_{k}", f"A burst hose would be told, {ENDS[k]}", seen, 1)
+        told[mark.format("burst")] = shown(a.burst[k], usable * sees)
         size = whether(lost > limit) * ca.fmax(loss, LITRE)
         m.latch(f"burst_{k}", a.burst[k], size * (1 - a.spool) * a.sound)
         # what does not come though a valve should be open, and what comes though it is closed
@@ -239,16 +258,20 @@ def balance(a: Axis) -> dict[str, Told]:
         still = (RESPONSE * asked - ca.fmax(flow, 0)) * ca.if_else(known > 0, 1 - passing, shows)
         # not of an arm that rebounds, also from the end of a stroke
         left = END if a.axis.turns else (getattr(p, a.axis.name).stroke - a.position, a.position)[k]
-        asks = sound * followed * whether(ca.fmax(-flow, other) < asked / 2) * whether(left >= END)
+        asks = sound * followed * whether(left >= END)
+        enough = MISSING + swept * p.angle_resolution
+        text = f"A spool that does not follow would be told, {ENDS[k]}"
+        would = either(known, shows) * RESPONSE * asked * asks / enough
+        obeys *= m.power(f"obeys_{k}", text, would, whether(a.most[k] > p.closed_command))
+        asks *= whether(ca.fmax(-flow, other) < asked / 2)
         missing = m.sum(f"missing_{k}", f"Oil that does not come, {ENDS[k]}", still, asks, "m3", FORGOTTEN)
         passes = ca.fmin(flow - most_in - soft, -most_of_other - other - soft_of_other) - LEAST_FLOW
         passes *= a.filled[0] * a.filled[1] * below[1 - k]
         text = f"Oil that comes beyond what its valve lets in, {ENDS[k]}"
         passed = m.sum(f"passed_{k}", text, passes, counts, "m3", FORGOTTEN)
-        enough = MISSING + swept * p.angle_resolution
         stuck = either(stuck, whether(ca.fmax(missing, passed / PASSING) > enough))
     m.latch("spool", a.spool, stuck * (1 - a.burst_told))
-    return told | {"spool": shown(a.spool, a.usable)}
+    return told | {"spool": shown(a.spool, a.usable * obeys)}
 
 
 def _expected(a: Axis, k: int) -> tuple[Scalar, ...]:
@@ -260,10 +283,23 @@ def _expected(a: Axis, k: int) -> tuple[Scalar, ...]:
     edge, widest = a.reference(EDGES[other]) * a.actuator.gain, a.opened(k, a.most[k], 1)
     highest, lowest = ca.fmax(pressure, a.late[2 + k]), ca.fmin(pressure, a.late[2 + k])
     least = edge * a.opened(other, a.least[other], -1) / OUTLET * (1 - a.compensated)
-    least *= ca.sqrt(positive(lowest - tank - 2 * p.zero_limit, SMALL))
+    least *= root(lowest - tank - 2 * p.zero_limit)
     most = edge * a.opened(other, a.most[other], 1)
-    most *= ca.sqrt(positive(highest - tank + 2 * p.zero_limit, SMALL))
+    most *= root(highest - tank + 2 * p.zero_limit)
     absolute = ca.fmax(lowest + ATMOSPHERE, ATMOSPHERE)
     air = p.bulk_modulus * ca.fmax(a.reference("air"), 0) * air_volume(lowest) / (EXPONENT * absolute)
     soft = (SOFT + air) * a.capacitances[k] * ca.fabs(a.rate[2 + k])
     return asked, least, OUTLET * full * widest - least, OUTLET * most, soft
+
+
+def _seen(a: Axis, k: int, empty: Scalar, oil: list[tuple[Scalar, ...]]) -> tuple[Scalar, Scalar]:
+    """Least flow into an empty chamber, most out of it, by the opening that the flow of the other shows."""
+    known = empty * a.full[1 - k] * (1 - a.compensated) * (1 - a.burst_told)
+    off, other = 2 * a.p.zero_limit, a.pressures[1 - k]
+    fills, empties = (known * whether(oil[j][0] > 0) for j in (k, 1 - k))
+    to_line, from_line, (*_, most_in, most, _) = a.u.supply_pressure - off, a.u.tank_pressure - off, oil[k]
+    drops = to_line - a.pressures[k], other - from_line, a.pressures[k] - from_line, to_line - other
+    own, of_other = (ca.if_else(fills > 0, *pair) for pair in (drops[::2], drops[1::2]))
+    edges = ca.if_else(fills > 0, 1 / (OUTLET * a.reference(EDGES[k])), OUTLET * a.reference(EDGES[1 - k]))
+    flow = a.flows[1 - k] * edges * ca.sqrt(ca.fmax(own, 0) / ca.fmax(of_other, SMALL))
+    return ca.fmin(-flow, most_in) * fills, ca.if_else(empties > 0, ca.fmin(flow, most), most)

@@ -79,8 +79,9 @@ class Diagnosis:
         air, off, healthy, count = self._together("air", told, p, AIR_OFF)
         more = air - ca.fmax(healthy, 0)
         told["oil_air"] = more, off, judged(more, off, losses.air_limit(healthy, p), whether(count > 0))
-        hot = whether(u.oil_temperature > p.temperature_limit)
-        told["oil_temperature_high"] = shown(m.lag("hot", hot, SAMPLING, "1: the oil is too hot"))
+        hot = ca.if_else(u.oil_temperature > 0, whether(u.oil_temperature > p.temperature_limit), -1)
+        hot = m.lag("hot", hot, SAMPLING, "1: the oil is too hot, -1: it has no temperature")
+        told["oil_temperature_high"] = shown(ca.fmax(hot, 0), hot + 1)
         balances = [weight.balance(a, e) for a in axes if (e := self.efforts(u).get(a.axis.name))]
         slewing = next((a.readings[0] for a in axes if a.axis.turns), 0)
         payload, of_load = weight.weighed(balances, slewing, self.tare, m, p)

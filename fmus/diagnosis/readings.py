@@ -24,7 +24,6 @@ from fmus.controller.arm import ControlledAxis
 from fmus.controller.valve import Actuator
 from fmus.diagnosis.estimates import QUICK, SAMPLING, States, Told, either, shown, whether
 from fmus.diagnosis.unknowns import reference, signals_of
-from fmus.smooth import positive
 
 ENDS = "head side or line A", "rod side or line B"
 PRESSURE = 1e7  # Pa, scale of pressures in the normal equations
@@ -89,7 +88,8 @@ class Axis:
         self.late = [m.lag(f"late_{k}", now, lag, *row) for k, (now, row) in named]
         self.behind = [now - late for now, late in zip(self.readings, self.late, strict=True)]
         self.rate = [v / p.lag for v in self.behind]
-        self._bad = [m.state(f"bad_{k}", f"1: the reading of {n} is wrong") for k, n in enumerate(signals)]
+        text = "1: the reading of {} is wrong, -1: it has not changed yet"
+        self._bad = [m.state(f"bad_{k}", text.format(n), start=-1) for k, n in enumerate(signals)]
         fast = whether(ca.fabs(self.readings[1]) > FASTEST)
         moved = self.behind[0] - self.fitted[1] * (1 - fast) * p.lag * self.late[1]
         jump = JUMP + self.fitted[1] * (1 - fast) * p.lag * ca.fabs(
@@ -170,7 +170,7 @@ class Axis:
     def _without_hose(self, drop: Scalar, flow: Scalar) -> tuple[Scalar, Scalar]:
         """Drop over the edge, without that of the hose between it and the sensor; drop of the hose [Pa]."""
         hose = self.actuator.hose.drop(flow)
-        return positive(drop - self.reference("hose_friction") * hose, SMALL), hose
+        return ca.fmax(drop - self.reference("hose_friction") * hose, SMALL / 2), hose
 
     def return_edge(self, k: int) -> tuple[Scalar, Scalar]:
         """Opening of the return edge while chamber k is filled, and whether it is known."""
@@ -211,6 +211,7 @@ class Axis:
             long = whether(time > p.still_time * (MOVING if k < 2 else 1))
             self.doubted.append(whether(time > DOUBTED * p.still_time))
             wrong = either(self.outside[k] * self.connected, long) * self.fitted[k]
-            self.m.latch(f"bad_{k}", self._bad[k], wrong)
-            found[f"{n}_sensor"] = shown(self._bad[k], self.fitted[k])
+            bad, known = self._bad[k], (1 - still) * self.connected - 1
+            self.m.latch(f"bad_{k}", bad, ca.fmax(2 * wrong - 1, known))
+            found[f"{n}_sensor"] = shown(ca.fmax(bad, 0), self.fitted[k] * whether(bad > -0.5))
         return found

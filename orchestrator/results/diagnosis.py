@@ -56,6 +56,10 @@ COLDEST = 200.0  # K
 # parameter of the usual size of a reading, and times that size, or one over it, which are doubtful: units of
 # pressure differ by 7 (psi, kPa) or more
 NOMINAL, UNUSUAL = "nominal_", 5.0
+# share of full command from which a function was commanded; s, over which readings are means; how much these
+# differ at most if it stands still: of a gyro, an angle, and pressures from one mean to the next
+COMMANDED, STANDS = 0.1, 0.5
+MOTION = {("rad/s", "m/s"): 0.03, ("rad", "m"): OFF, ("Pa",): 1e6}
 EVEN = 1e6  # Pa, below which a return line may have one pressure, and above which that of a pump is held
 LITRE = 1 / 6e4  # L/min in m3/s
 # unit -> factor and unit for a reader, of quantities whose usual one is another
@@ -511,6 +515,7 @@ def _usable(component: Component, trace: Trace, source: str) -> tuple[Trace, flo
 def _without(component: Component, trace: Trace, source: str) -> tuple[list[str], list[str]]:
     """Readings that are missing or constant, and lines about them."""
     variables, missing, remarks = component.interface.variables, list[str](), list[str]()
+    still = _standing(component, trace)
     for name, v in variables.items():
         if v.causality != "input":
             continue
@@ -519,9 +524,9 @@ def _without(component: Component, trace: Trace, source: str) -> tuple[list[str]
             at_rest = abs(trace.signals[name][0]) < EVEN
             even = (name.startswith("tank_") and at_rest) or (name.startswith("supply_") and not at_rest)
             if fitted and len(trace.time) > 1 and np.ptp(trace.signals[name]) == 0 and not even:
-                missing.append(name)
-                value = f"{trace.signals[name][0]:.6g}"
-                remarks.append(f"{source}: {name} is {value} all the time; its sensor counts as missing")
+                missing += [] if name in still else [name]
+                counts = still.get(name, "its sensor counts as missing")
+                remarks.append(f"{source}: {name} is {trace.signals[name][0]:.6g} all the time; {counts}")
         elif fitted:
             missing.append(name)
             remarks.append(f"{source}: no column {name}; what needs it is not examined")
@@ -530,6 +535,32 @@ def _without(component: Component, trace: Trace, source: str) -> tuple[list[str]
         elif v.unit_name not in (None, "1"):
             remarks.append(f"{source}: no column {name}; its start value counts")
     return missing, remarks
+
+
+def _standing(component: Component, trace: Trace) -> dict[str, str]:
+    """Readings of functions that stand still though they are commanded, with a line that says so.
+
+    A function does if its gyro says so, or else its angle; if both are constant, pressures that no valve
+    joins to a line. If all of its readings are constant it is not known.
+    """
+    variables, commands = component.interface.variables, [n for n in trace if n.endswith("_command")]
+    full = min((float(component.value(n)) for n in variables if n.endswith("_full_command")), default=0.0)
+    rows, own = round(STANDS / float(np.median(np.diff(trace.time)))) or 1, dict[str, list[str]]()
+    for name in (n for n in trace if n not in commands):
+        of = (n for n in commands if name.startswith(n.removesuffix("command")))
+        own.setdefault(max(of, key=len, default=""), []).append(name)
+    found, count = dict[str, str](), len(trace.time) // rows
+    for command in (n for n in own if n and count > 1 and np.abs(trace[n]).max() > COMMANDED * full):
+        live = [n for n in own[command] if np.ptp(trace[n])]
+        for units, most in MOTION.items():
+            seen = [n for n in live if variables[n].unit_name in units]
+            means = [trace[n][: count * rows].reshape(count, rows).mean(1) for n in seen]
+            if means and all(np.ptp(np.diff(v) if "Pa" in units else v) < most for v in means):
+                line = f"the {command.removesuffix('_command')} stands still under its commands"
+                found |= dict.fromkeys(own[command], line)
+            if means:
+                break
+    return found
 
 
 def picture(diagnosis: Diagnosis, fmu: Path) -> Markup:

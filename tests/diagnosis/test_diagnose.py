@@ -195,6 +195,48 @@ def test_a_reading_that_is_constant_counts_as_missing(fmu, columns, tmp_path):
     assert not found.broken
 
 
+@pytest.mark.parametrize("without", [(), ("speed",), ("speed", "pressure")])
+@pytest.mark.parametrize("function", ["swing", "boom", "stick"])
+def test_a_function_that_stands_still_has_no_missing_sensor(fmu, columns, tmp_path, function, without):
+    """5 V do not move it: its angle is constant, and true. It is its valve, unless all of it is constant."""
+    own = [n for n in columns if n.startswith(f"{function}_") and any(part in n for part in without)]
+    for n in (f"{function}_angle", *own):
+        columns[n] = np.full(len(columns["time"]), columns[n][0])
+    columns[f"{function}_command"] = 5.0 * np.clip(columns["time"] - 0.5, 0, 1)
+    found = diagnose(fmu, written(tmp_path, columns))
+    line = "its sensor counts as missing" if "pressure" in without else f"the {function} stands still under"
+    assert f"{function}_angle is" in found.remarks[0]
+    assert all(line in remark for remark in found.remarks)
+    assert [f.repair for f in found.broken] == ([] if "pressure" in without else [f"{function} valve"])
+    states = {f.name: f.state for f in found.findings}
+    assert (states[f"{function}_angle_sensor"] == -1).all()  # it may stand still as well
+    assert states["supply_pressure_sensor"][-1] == 0
+
+
+def moves_by_gyro(columns):
+    """0.2 rad/s for half a second, to and fro."""
+    columns["swing_speed"] = columns["swing_speed"] + 0.2 * np.sign(np.sin(2 * np.pi * columns["time"]))
+
+
+def moves_by_pressures(columns):
+    """No gyro; an open valve brings both lines to the middle between supply and return line, by 70 bar."""
+    del columns["swing_speed"]
+    for n in ("swing_pressure_a", "swing_pressure_b"):
+        columns[n] = columns[n] + 7e6 * (np.abs(columns["swing_command"]) > 1)
+
+
+@pytest.mark.parametrize("moves", [moves_by_gyro, moves_by_pressures])
+@pytest.mark.parametrize("value", [0.0, 0.7])
+def test_a_constant_angle_of_a_function_that_moves_is_a_missing_sensor(fmu, columns, tmp_path, moves, value):
+    """Its value does not matter; nothing is told of the valve."""
+    columns["swing_angle"] = np.full(len(columns["time"]), value)
+    columns["swing_command"] = 5.0 * np.clip(columns["time"] - 0.5, 0, 1)
+    moves(columns)
+    found = diagnose(fmu, written(tmp_path, columns))
+    assert f"swing_angle is {value:g} all the time; its sensor counts as missing" in found.remarks[0]
+    assert not found.broken
+
+
 def test_rows_out_of_order_are_sorted(columns, tmp_path, capsys):
     """The readings are those of the rows in order, with a line that counts what was out of order."""
     rows = np.arange(len(columns["time"]))

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from fmus.diagnosis import unknowns
+from fmus.diagnosis import losses, unknowns
 from fmus.diagnosis.estimates import Fit, States, judged
 from fmus.diagnosis.weight import NOISE, without_horizontal
 
@@ -165,6 +165,52 @@ def test_a_cumulative_sum_gathers_what_is_in_excess_and_is_never_negative():
     assert after(1e-3, 1) == pytest.approx(3e-5)
     assert after(-1.0, 1) == pytest.approx(0, abs=1e-20)
     assert after(1e-3, 0) == pytest.approx(1.8e-5)
+
+
+@pytest.mark.parametrize("zeros", [0.0, 1.0, -1.0])
+@pytest.mark.parametrize("fills", [True, False])
+def test_the_flow_of_one_side_bounds_that_of_the_other(fills, zeros):
+    """By the law of orifices, q = a K sqrt(dP), of a chamber at 1 bar whose other side is at 60 bar.
+
+    Without zeros exactly by `OUTLET`, 1.3; with zeros of 3 bar in each sensor, either way, on the safe side.
+    """
+    supply, tank, own, other, e, opening = 160e5, 2e5, 4e5, 60e5, 0.9, 1e-7
+    into, out = (
+        opening * np.sqrt(supply - np.array([own, other])),
+        e * opening * np.sqrt(np.array([own, other]) - tank),
+    )
+    off = 3e5 * zeros
+    p, u = (
+        SimpleNamespace(zero_limit=3e5 * abs(zeros)),
+        SimpleNamespace(supply_pressure=supply - off, tank_pressure=tank + off),
+    )
+    axis = SimpleNamespace(
+        p=p, u=u, full=[1, 1], compensated=0, burst_told=0, pressures=[own + off, other - off]
+    )
+    axis.flows, axis.reference = [0.0, -out[1] if fills else into[1]], lambda _: e
+    oil = [(float(fills), 0, 1.0, 1.0, 0), (float(not fills), 0, 1.0, 1.0, 0)]
+    least, most = (float(v) for v in losses._seen(axis, 0, 1.0, oil))
+    assert (least == 0, most == 1.0) == (not fills, fills)
+    seen, exact = (into[0], least * 1.3) if fills else (most / 1.3, out[0])
+    assert seen >= exact * (1 - 1e-9)
+    if not zeros:
+        assert seen == pytest.approx(exact, rel=1e-6)
+
+
+def test_none_is_told_while_a_fault_would_have_been():
+    """Of a sum that is more than 1, which goes up to 2 and fades by 1 in 5 s, but not below zero.
+
+    It does not fade in a time that does not count. Rates are those of Euler's step of 10 ms.
+    """
+
+    def step(value, rate, fades=1):
+        m = States(SimpleNamespace(v=value))
+        return float(m.power("v", "Seen", rate, fades)), float(m.rates["v"])
+
+    cases = {(0.9, 4.0): (0, 4.0), (1.1, 4.0): (1, 4.0), (1.99, 4.0): (1, 1.0), (2.0, 4.0): (1, 0.0)}
+    cases |= {(2.0, -7.0): (1, -0.2), (1.5, 0.0): (1, -0.2), (1e-3, 0.0): (0, -0.1), (1.5, 0.0, 0): (1, 0.0)}
+    for case, expected in cases.items():
+        assert step(*case) == pytest.approx(expected, abs=1e-9), case
 
 
 def test_a_latch_keeps_the_largest_size_until_the_reset():

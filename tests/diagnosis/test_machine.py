@@ -343,6 +343,31 @@ def test_a_line_that_is_emptied_at_a_constant_speed_may_keep_its_pressure(fmu, s
     assert np.isfinite(since(result, "swing_pressure_a_sensor_state")) == is_told
 
 
+def test_a_burst_is_not_excluded_in_a_chamber_without_pressure(fmu):
+    """A rod side at 17 bar has no burst hose, and one at 0 bar may have: 5 s after its pressure has gone.
+
+    Known by its jet of 10 mm2 at 17 bar less 0.7 mL/s of margins, over the oil of 8 mrad, from `CALMED` on.
+    """
+    time = np.arange(0, 9, 0.01)
+    columns = {n: np.full(len(time), v[0]) for n, v in constant(tank_pressure=0.0).items()}
+    columns |= {"time": time, "boom_rod_pressure": np.where(time < 2, 1.7e6, 0.0)}
+    result = run(fmu, columns, stop=8.5, step=0.01, record="*")
+    states = np.asarray(result["boom_rod_burst_state"])
+    turns = [float(result.time[k + 1]) for k in np.flatnonzero(np.diff(states))]
+    assert states[[0, -1]].tolist() == [-1, -1]
+    assert turns == [pytest.approx(CALMED + 0.05, abs=0.04), pytest.approx(7.0, abs=0.05)]
+
+
+def test_pressures_that_leak_away_are_no_burst(fmu):
+    """Lines of a motor fall by 1.5 bar/s while 5 V do not move it: its spool, not its hose."""
+    falling = 8.8e5 - 1.5e5 * np.arange(0, 3, 0.01)
+    columns = constant(swing_pressure_a=falling, swing_pressure_b=falling, tank_pressure=0.0)
+    columns["swing_command"] = np.clip(10 * (columns["time"] - 0.5), 0, 5)
+    result = run(fmu, columns, stop=2.9, step=0.01, record="*")
+    assert 0.5 < since(result, "swing_spool_state") < 1.0
+    assert since(result, "swing_burst_a_state") == since(result, "swing_burst_b_state") == np.inf
+
+
 def test_a_pressure_that_may_stand_still_tells_no_burst(fmu):
     """Line A is filled at 70 bar, and less arrives than 8 V let in, while the return edge is open: a burst.
 
@@ -440,6 +465,25 @@ def test_a_force_is_as_uncertain_as_the_slope_without_slewing(outputs):
     found = outputs({f"payload_{n}": v for n, v in sums.items()}, {})
     assert found["weighing"] == pytest.approx(1e4 * y, rel=0.01)
     assert found["weighing_deviation"] == pytest.approx(1e4 * k * 0.05, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("state", "of", "finding"),
+    [
+        ("boom_sees_1", {}, "boom_rod_burst"),
+        ("swing_sees_0", {}, "swing_burst_a"),
+        ("stick_obeys_0", {"stick_obeys_1": 2.0}, "stick_spool"),
+        ("stick_obeys_1", {"stick_obeys_0": 2.0}, "stick_spool"),
+        ("boom_bad_0", {}, "boom_angle_sensor"),
+        ("hot", {}, "oil_temperature_high"),
+    ],
+)
+def test_none_is_not_told_of_what_was_not_seen(outputs, state, of, finding):
+    """It is not known until a fault would have been told: a spool both ways, a sensor once it has changed."""
+    sums = of | {f"{a}_usable": 1.0 for a in ("swing", "boom", "stick")}
+    unseen, seen = (0.0, 2.0) if "sees" in state or "obeys" in state else (-1.0, 0.0)
+    assert outputs(sums | {state: unseen}, {})[f"{finding}_state"] == -1
+    assert outputs(sums | {state: seen}, {})[f"{finding}_state"] == 0
 
 
 def test_no_pressure_is_wrong_only_if_that_is_known_of_all_cylinders(outputs):
