@@ -449,6 +449,33 @@ def test_an_fmu_that_asks_after_each_step_has_its_events_there(stopping):
     np.testing.assert_allclose(held(result.events, "relay.on"), switches(STOP), atol=1e-9)
 
 
+@every_master
+def test_an_event_that_is_asked_for_is_not_at_one_that_another_announces(stopping, master):
+    """Every 0.17 s, beside announced ones every 0.13 s and the bounces of a ball; no other events are told."""
+    system = assemble(
+        {"ball": stopping("ball"), **{name: stopping("ticker") for name in "ab"}, "s": stopping("sum")},
+        ["b.level -> s.u"],
+        {"a.period": 0.13, "b.period": 0.17, "b.how": ASKS},
+    )
+    result = run(system, stop=1.0, **length(master, 0.1), master=master, isolate=False)
+    at, fall = np.arange(0.17, 1.0, 0.17), sqrt(2 / 9.81)
+    area = np.maximum(np.subtract.outer(result.time, at), 0.0).sum(1)
+    # each event is told up to 1e-9 s late, and acts up to 1e-9 s later
+    np.testing.assert_allclose(result["s.s"], area, atol=2e-9 * len(at))
+    every = np.sort([*at, *np.arange(0.13, 1.0, 0.13), fall])
+    np.testing.assert_allclose([event.time for event in result.events], every, atol=2e-9)
+    assert not result.card.notes
+
+
+def test_adaptive_steps_grow_beside_an_fmu_that_asks_after_each(stopping):
+    """It cannot go back, so that steps after an event are short; those after it grow."""
+    fmus = {"t": stopping("ticker", canGetAndSetFMUState="false"), "s": stopping("sum")}
+    system = assemble(fmus, ["t.level -> s.u"], {"t.how": RESTLESS})
+    master = Coupling("gauss-seidel", adaptive=1e-3)
+    result = run(system, stop=2.0, record_step=0.1, master=master, isolate=False)
+    assert result.card.steps < 100
+
+
 def test_an_fmu_that_refuses_event_mode_runs_without(stopping):
     """Its events are inside of it, and a note quotes its reason."""
     result = run(stopping("shy"), {"time": [0, 0.5, 0.5, 1], "u": [0, 0, 1, 1]}, stop=1.0, step=0.1)
