@@ -135,9 +135,7 @@ class Instants:
         except Ended:
             self._append(t, [*asked, *changed])
             raise
-        for name in (
-            announced.keys() & asked
-        ):  # an event at the beginning of a step that changes nothing is later
+        for name in announced.keys() & asked:  # one at the beginning of a step that changes nothing is later
             struct = self._network.components[name].struct
             struct.locates = struct.locates and (bool(changed) or t > self._time)
         self._append(t, [*asked, *changed])

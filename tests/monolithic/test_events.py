@@ -451,7 +451,7 @@ def test_an_fmu_that_asks_after_each_step_has_its_events_there(stopping):
 
 @every_master
 def test_an_event_that_is_asked_for_is_not_at_one_that_another_announces(stopping, master):
-    """Every 0.17 s, beside announced ones every 0.13 s and the bounces of a ball; no other events are told."""
+    """Every 0.17 s, beside announced ones every 0.13 s and the bounces of a ball: these events only."""
     system = assemble(
         {"ball": stopping("ball"), **{name: stopping("ticker") for name in "ab"}, "s": stopping("sum")},
         ["b.level -> s.u"],
