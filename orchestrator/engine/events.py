@@ -137,6 +137,11 @@ class Instants:
     def inside(self, name: str, t: float) -> None:
         """The event of one FMU at a time [s] inside of a step that is not repeated."""
         self._members[name].event_inside(t)
+        self._announce()
+
+    def _announce(self) -> None:
+        for name, slave in self._members.items():
+            self._network.components[name].struct.announced = slave.next_event
         self._state.next = self._next
 
     @property
@@ -192,7 +197,7 @@ class Instants:
         for name, time in times.items():
             if not time > t:
                 raise Problem(f"{name}: expected the next event after t = {t:.9g} s, got {time:.9g} s")
-        self._state.next = self._next
+        self._announce()
 
     def _copied(self, t: float) -> list[str]:
         """Copy values along all connections; returns the signals, not continuous, that have changed."""

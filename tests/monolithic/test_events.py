@@ -33,6 +33,7 @@ MASTERS = {
 every_master = pytest.mark.parametrize("master", MASTERS.values(), ids=[*MASTERS])
 HEATED = ["room.T -> relay.y", "relay.on -> room.on"]
 STEP, STOP = 0.01, 3.0
+ANNOUNCES, TELLS, ASKS, RESTLESS = 0, 1, 18, 19  # `how` of stopping.c
 
 
 def length(master, step=STEP):
@@ -175,6 +176,31 @@ def test_a_ball_bounces_alone(stopping):
     np.testing.assert_allclose(result["ball.h"], exact, atol=1e-12)
     assert result.card.steps == 20 + len(bounces)
     assert ", 4 events" in result.card.text()
+
+
+@pytest.mark.parametrize("saves", ["true", "false"])
+def test_the_only_fmu_goes_on_from_its_event_inside_of_its_own_steps(stopping, saves):
+    """Three steps of the ball in a step: the others begin anew at the bounce."""
+    fmu = stopping("ball", canGetAndSetFMUState=saves)
+    results = [run(fmu, stop=2.0, step=0.1, factors={"ball": k}, isolate=False) for k in (1, 3)]
+    times = [[event.time for event in result.events] for result in results]
+    # rounding; at the fourth bounce it is 1e-15 * 9.8 m/s2 * 10 ms
+    np.testing.assert_allclose(*times, rtol=1e-12)
+    np.testing.assert_allclose(*(result["ball.h"] for result in results), atol=1e-12)
+
+
+@pytest.mark.parametrize("how", [ASKS, RESTLESS])
+def test_events_at_the_ends_of_own_steps_need_no_further_step(stopping, how):
+    """An FMU that cannot go back asks for them at the end of each quarter; its count is that of the ticks."""
+    fmus = {"t": stopping("ticker", canGetAndSetFMUState="false"), "s": stopping("sum")}
+    system = assemble(fmus, ["t.level -> s.u"], {"t.how": how, "t.period": 0.13})
+    result = run(system, stop=1.2, step=0.1, factors={"t": 4}, isolate=False)
+    np.testing.assert_array_equal(result["t.count"], np.floor(result.time / 0.13))
+    ends = np.ceil(np.arange(0.13, 1.2, 0.13) / 0.1) * 0.1  # where its ticks act
+    # rounding
+    np.testing.assert_allclose(
+        result["s.s"], np.maximum(np.subtract.outer(result.time, ends), 0.0).sum(1), atol=1e-12
+    )
 
 
 def test_events_of_the_run_are_those_of_the_reference(fmu):
@@ -336,7 +362,6 @@ def test_a_signal_that_is_nan_is_no_event(stopping):
     np.testing.assert_allclose([event.time for event in events], [0.5, 1.0], atol=1e-9)
 
 
-ANNOUNCES, TELLS, ASKS, RESTLESS = 0, 1, 18, 19  # `how` of stopping.c
 tickers = st.tuples(
     st.integers(6, 30).map(lambda k: k / 21.0),
     st.sampled_from([ANNOUNCES, TELLS, ASKS, RESTLESS]),
@@ -422,6 +447,33 @@ def test_an_fmu_that_asks_after_each_step_has_its_events_there(stopping):
     )
     assert np.abs(result["room.T"] - temperature(result.time)).max() < 1e-9
     np.testing.assert_allclose(held(result.events, "relay.on"), switches(STOP), atol=1e-9)
+
+
+@every_master
+def test_an_event_that_is_asked_for_is_not_at_one_that_another_announces(stopping, master):
+    """Every 0.17 s, beside announced ones every 0.13 s and the bounces of a ball: these events only."""
+    system = assemble(
+        {"ball": stopping("ball"), **{name: stopping("ticker") for name in "ab"}, "s": stopping("sum")},
+        ["b.level -> s.u"],
+        {"a.period": 0.13, "b.period": 0.17, "b.how": ASKS},
+    )
+    result = run(system, stop=1.0, **length(master, 0.1), master=master, isolate=False)
+    at, fall = np.arange(0.17, 1.0, 0.17), sqrt(2 / 9.81)
+    area = np.maximum(np.subtract.outer(result.time, at), 0.0).sum(1)
+    # each event is told up to 1e-9 s late, and acts up to 1e-9 s later
+    np.testing.assert_allclose(result["s.s"], area, atol=2e-9 * len(at))
+    every = np.sort([*at, *np.arange(0.13, 1.0, 0.13), fall])
+    np.testing.assert_allclose([event.time for event in result.events], every, atol=2e-9)
+    assert not result.card.notes
+
+
+def test_adaptive_steps_grow_beside_an_fmu_that_asks_after_each(stopping):
+    """It cannot go back, so that steps after an event are short; those after it grow."""
+    fmus = {"t": stopping("ticker", canGetAndSetFMUState="false"), "s": stopping("sum")}
+    system = assemble(fmus, ["t.level -> s.u"], {"t.how": RESTLESS})
+    master = Coupling("gauss-seidel", adaptive=1e-3)
+    result = run(system, stop=2.0, record_step=0.1, master=master, isolate=False)
+    assert result.card.steps < 100
 
 
 def test_an_fmu_that_refuses_event_mode_runs_without(stopping):

@@ -94,7 +94,8 @@ static int set_and_step(Simulation *sim, int k, Real begin, Real length, int las
         const double end = begin + length;
         verdict = python_call(sim, ALONE, k, sim->reached, 0.0);
         begin = sim->reached - sim->t, length = end - begin;
-        if (!verdict) verdict = component_set_inputs(sim, &sim->components[k], begin, length, last);
+        if (verdict || length <= sim->events.tolerance) return verdict;
+        verdict = component_set_inputs(sim, &sim->components[k], begin, length, last);
         if (!verdict) verdict = component_step(sim, k, begin, length);
     }
 #endif
@@ -108,6 +109,9 @@ int component_advance(Simulation *sim, int k, Real h, double *counter) {
     const Real length = h / (double)n;
     for (int32_t j = 0; j < n; j++) {
         const Real begin = h * (double)j / (double)n;
+#if WIDTH == 1
+        if (j && sim->t + begin >= sim->end) break; /* the only FMU has stopped */
+#endif
         int verdict = set_and_step(sim, k, begin, length, j == n - 1);
         if (!verdict && p->halved && j == 0) verdict = read_middle(sim, k, h);
         if (verdict) return verdict;

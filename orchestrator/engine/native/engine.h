@@ -269,6 +269,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     int32_t events;                     /* it stops at its events, or asks for event mode at the end of a step */
     int32_t locates;                    /* if it stops early, it does at the time of the event; else not before that */
     int32_t asked;                      /* it has stopped in this try */
+    double announced;                   /* time of its next event that it has announced [s] */
     int32_t restless;                   /* it asks for event mode after each step, however short; -1: it did */
     Real *values, *derivatives;
     Program input_writes; /* set values and derivatives of its coupling inputs */
@@ -362,7 +363,7 @@ typedef struct Events {
     int32_t present;  /* used, or there are such inputs; else no step looks for events */
     int32_t located;  /* all components can go back, so that a step is repeated to its first event */
     int32_t divides;  /* steps end at announced events and ticks */
-    int32_t due;      /* there is an instant at the end of the step */
+    int32_t due;      /* there is an instant at the end of the step; 2: at its beginning, instead of the step */
     int32_t by_asking; /* of an FMU that has asked for it, without a time */
     int32_t restless; /* an FMU has been found to be restless: the step is repeated */
     int32_t at_end;   /* also where the step is accepted for other reasons only: of a restless FMU */

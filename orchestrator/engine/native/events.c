@@ -39,7 +39,7 @@ int event_reached(Simulation *sim, Component *p, double reached, int early) {
     if (e->located && at_beginning && p->restless <= 0) p->restless = e->restless = 1;
     if (sim->component_count == 1 && known && reached > sim->t) sim->end = reached; /* no other is ahead of it */
     const double behind = sim->end - reached, since = known ? reached : sim->t + e->low;
-    const int at_announced = fabs(sim->end - e->next) <= e->tolerance;
+    const int at_announced = fabs(sim->end - p->announced) <= e->tolerance;
     const int nearly = sim->end == e->until && sim->end - sim->t <= e->near;
     const int located = !e->located || at_announced || nearly || sim->end - since <= e->tolerance;
     sim->reached = known || !e->located ? reached : NAN;
@@ -75,7 +75,7 @@ int event_approached(Simulation *sim, double h, int *goes_back) {
         return CONTINUE;
     }
     if (time <= 0.0) {
-        e->due = 1, sim->shorter = 0.0;
+        e->due = 2, sim->shorter = 0.0;
         return CONTINUE;
     }
     if (!sim->rollback || ++e->tries > MOST_TRIES) return python_call(sim, INSTANT, -1, sim->t, h);

@@ -261,8 +261,9 @@ static Real next_length(Simulation *sim, Real *target, Real *rest) {
     return sim->shorter > 0.0 ? smaller(h, sim->shorter) : h;
 }
 
-/* All inputs begin anew after a jump of the scenario, or an event: the past does not tell their course. */
-static int restart(Simulation *sim, Mask machines) {
+/* All inputs begin anew after a jump of the scenario, or an event: the past does not tell their course. sizes: lengths of
+ * adaptive steps, too. */
+static int restart(Simulation *sim, Mask machines, int sizes) {
     sim->length = where(machines, 0.0, sim->length);
     sim->length_before = where(machines, 0.0, sim->length_before);
     const int verdict = begin_inputs(sim, machines);
@@ -270,7 +271,7 @@ static int restart(Simulation *sim, Mask machines) {
 #if WIDTH == 1
     looks_begin(sim);
 #endif
-    for (int i = 0; i < WIDTH && sim->step_size; i++)
+    for (int i = 0; sizes && i < WIDTH && sim->step_size; i++)
         if (chosen(machines, i)) step_size_begin(&sim->step_size[i]);
     if (sim->errors) error_jump(sim->errors);
     return verdict;
@@ -281,13 +282,14 @@ static int jump(Simulation *sim, Mask machines) {
     sim->scenario->since = sim->t;
     sim->scenario->evaluated_at = NAN;
     const int verdict = simulation_exchange(sim, sim->t);
-    return verdict ? verdict : restart(sim, machines);
+    return verdict ? verdict : restart(sim, machines, 1);
 }
 
 #if WIDTH == 1
 static int go_through_events(Simulation *sim) {
+    const int after_each = sim->t - sim->length <= sim->events.instant + sim->events.tolerance; /* steps would not grow */
     const int verdict = event_instant(sim);
-    return verdict ? verdict : restart(sim, EVERY_MACHINE);
+    return verdict ? verdict : restart(sim, EVERY_MACHINE, !after_each);
 }
 #endif
 
@@ -317,7 +319,7 @@ static int next_step(Simulation *sim) {
     if (!any(done)) {
         sim->repeated++;
 #if WIDTH == 1
-        if (sim->events.due) return go_through_events(sim); /* at the beginning of the step */
+        if (sim->events.due == 2) return go_through_events(sim); /* at the beginning of the step */
 #endif
         return CONTINUE;
     }

@@ -165,7 +165,8 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
     double when = stops(m, t, h);
     int inside = when < t + h, stop = inside && m->i[HOW] != 1 && m->i[HOW] < 18 && m->early && m->used;
     *event = *end = *early = fmi3False, *reached = t, (void)p;
-    if (m->mode != 1 || (m->i[HOW] == 6 && t + h > 0.55)) return m->mode != 1 ? fmi3Error : fmi3Discard;
+    if (m->mode != 1 || !(h > 0.0)) return fmi3Error;
+    if (m->i[HOW] == 6 && t + h > 0.55) return fmi3Discard;
     if (m->i[HOW] == 16 && m->i[COUNT] == 2 && m->early) return *event = *early = fmi3True, m->time = t, m->ends = 1, fmi3OK;
     if (stop && m->i[HOW] == 2) when = t;
     move(m, t, stop ? when - t : h);
