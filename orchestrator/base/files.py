@@ -306,8 +306,9 @@ class Location:
         if not os.path.isfile(self.path):  # not a device or a pipe, which may have no end
             if not os.path.exists(self.path):
                 raise Problem(f"{self.path}: no such file")
-            found = "a folder" if os.path.isdir(self.path) else "a device or a pipe"
-            raise Problem(f"{self.path}: expected a file, got {found}")
+            if os.path.isdir(self.path):
+                raise Problem(f"{self.path}: expected a file, got a folder")
+            raise Problem(f"{self.path}: expected a file, got a device or a pipe")
         try:
             return self.path.open("rb")
         except OSError as error:

@@ -103,8 +103,8 @@ def foreign(file: Location | Path, kind: str) -> Iterator[None]:
         raise
     except Exception as error:  # which ones, libraries do not document
         said = shorten(str(error), MAX_SAID, placeholder=" ...")
-        got = f"a damaged one ({type(error).__name__}{said and f': {said}'})"
-        raise Problem(f"{file}: expected {kind} file, got {got}") from None
+        cause = f"{type(error).__name__}{said and f': {said}'}"
+        raise Problem(f"{file}: expected {kind} file, got a damaged one ({cause})") from None
 
 
 # ---- version 7.3

@@ -124,10 +124,13 @@ def _table(mapping: XmlElement, read: Callable[[str], Any]) -> dict[Any, Any]:
     """The table of a mapping, source -> target."""
     table = dict[Any, Any]()
     for e in mapping.children("MapEntry"):
-        try:
-            source, target = read(e.required("source")), read(e.required("target"))
-        except ValueError as error:
-            raise e.problem(f"expected values of {mapping.name}, got {str(error)!r}") from None
+        values = list[Any]()
+        for text in (e.required("source"), e.required("target")):
+            try:
+                values.append(read(text))
+            except ValueError:
+                raise e.problem(f"expected values of {mapping.name}, got {text!r}") from None
+        source, target = values
         if source in table:
             raise e.problem(f"expected each source once, got {e.get('source')!r} twice")
         table[source] = target
