@@ -94,7 +94,7 @@ def test_methods_and_numbers_of_any_origin(tmp_path, old, new):
 def test_a_folder_and_a_missing_file_are_named(tmp_path):
     """What is no file is refused with its path."""
     (tmp_path / "folder.py").mkdir()
-    kinds = {"nothing": "no such file", "folder": "expected a file, found a folder"}
+    kinds = {"nothing": "no such file", "folder": "expected a file, got a folder"}
     for name, told in kinds.items():
         file = tmp_path / f"{name}.py"
         problem(lambda file=file: build_user(file, tmp_path / "out"), f"{name}.py: {told}")
