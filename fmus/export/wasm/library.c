@@ -187,7 +187,8 @@ int NAMED(vsnprintf)(char *text, size_t size, const char *format, va_list argume
             continue;
         }
         int precision = 6, is_size = 0;
-        if (*++f == '.')
+        if (*++f == '.' && f[1] == '*') precision = va_arg(arguments, int), f += 2;
+        else if (*f == '.')
             for (precision = 0, f++; *f >= '0' && *f <= '9'; f++) precision = 10 * precision + *f - '0';
         if (*f == 'z') is_size = 1, f++;
         if (*f == 's') put_text(&o, va_arg(arguments, const char *));
