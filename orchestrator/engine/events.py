@@ -102,11 +102,12 @@ class Instants:
     def saved(self) -> list[Any]:
         """The events so far, for a saved run."""
         events, last = [(e.time, e.causes) for e in self.happened], self._progress
-        return [last.time, last.close, events, self._clocks.saved() if self._clocks else []]
+        clocks = self._clocks.saved() if self._clocks else []
+        return [last.time, last.close, self._late, events, clocks]
 
     def resume(self, saved: Sequence[Any]) -> None:
         """Go on from a saved run."""
-        self._progress.time, self._progress.close, events, clocks = saved
+        self._progress.time, self._progress.close, self._late, events, clocks = saved
         if self._clocks:
             self._clocks.resume(clocks)
         self.happened = [Event(time, tuple(causes)) for time, causes in events]

@@ -84,13 +84,18 @@ class Components(dict[str, Slave]):
         while True:
             try:
                 step(time, length)
-                break
+                time += length
             except AtEvent as stop:
-                time, length = stop.reached, end - stop.reached
-                if length <= least:
+                if stop.reached - time <= least and length > least:  # it goes back to the beginning
+                    length *= 0.5
+                    continue
+                time = stop.reached if length > least else time + length
+                if end - time <= least:
                     self._network.binding.simulation.events.due = True
-                    break
-                self._network.binding.inside(name, time)
+                else:
+                    self._network.binding.inside(name, time)
+            if (length := end - time) <= least:
+                break
         self._reached[name] = end
 
     def _refuse(self, name: str) -> None:

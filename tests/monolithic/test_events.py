@@ -329,6 +329,18 @@ def test_without_rollback_events_act_at_the_end_of_the_step(stopping):
     assert any(note.endswith("because room has a fixed step") for note in notes)
 
 
+@pytest.mark.parametrize("own", [False, True])
+def test_an_fmu_that_goes_back_to_the_beginning_gets_shorter_steps(stopping, own):
+    """Where others cannot repeat a step: its events are found by steps of it alone."""
+    room = stopping("room", canGetAndSetFMUState="false")
+    system = assemble({"relay": stopping("relay"), "room": room}, HEATED, {"relay.how": 2})
+    master = Master("own", step=in_turn) if own else "gauss-seidel"
+    result = run(system, stop=STOP, step=STEP, master=master, isolate=False)
+    # two steps late at each event, which moves the next ones
+    assert np.abs(result["room.T"] - temperature(result.time)).max() < 6 * 2 * STEP
+    assert len(held(result.events, "relay.on")) >= 5
+
+
 def in_turn(components, time, length):
     """A master of one's own."""
     for name in components:

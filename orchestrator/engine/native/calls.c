@@ -215,8 +215,6 @@ int linearise(Simulation *sim, const JacobianColumn *columns, int32_t count, dou
     return CONTINUE;
 }
 
-enum { WARNING_STATUS = 1, FATAL_STATUS = 4 }; /* in FMI 2.0 and 3.0 */
-
 /* Lets an FMU step; returns its status. */
 static int do_step(Simulation *sim, int k, double t, double length) {
     Component *p = &sim->components[k];
@@ -244,7 +242,7 @@ int component_step(Simulation *sim, int k, Real begin, Real length) {
         return verdict == AT_EVENT ? event_reached(sim, p, sim->reached, 1) : verdict;
     }
     const int status = do_step(sim, k, t, length);
-    if (p->events && status < DISCARD && p->flags && *p->flags) {
+    if (p->events && status <= WARNING && p->flags && *p->flags) {
         const uint8_t *event = p->event, *terminate = p->terminate, *early = p->early;
         const double reached = *early ? *(const double *)p->last : t + length;
         const int inside = t - length < reached && reached < t + 2.0 * length; /* else Python tells what is wrong */
@@ -263,8 +261,8 @@ int component_try(Simulation *sim, int k, double length) {
     }
     const int status = do_step(sim, k, sim->t, length);
     const uint8_t *terminate = p->terminate, *early = p->early;
-    if (status == FATAL_STATUS) return sim->check_status(0, k, status);
-    return status > WARNING_STATUS || (p->flags && (*terminate || *early)) ? DISCARDED : CONTINUE;
+    if (status == FATAL) return sim->check_status(0, k, status);
+    return status > WARNING || (p->flags && (*terminate || *early)) ? DISCARDED : CONTINUE;
 }
 
 int component_save(Simulation *sim, int k) {

@@ -84,23 +84,30 @@ static int read_middle(Simulation *sim, int k, Real h) {
     return verdict;
 }
 
-/* Set the inputs of a component, and step it. Where steps are not repeated for events, it goes through those inside of the
- * step alone, and on from there. */
 static int set_and_step(Simulation *sim, int k, Real begin, Real length, int last) {
-    int verdict = component_set_inputs(sim, &sim->components[k], begin, length, last);
-    if (!verdict) verdict = component_step(sim, k, begin, length);
+    const int verdict = component_set_inputs(sim, &sim->components[k], begin, length, last);
+    return verdict ? verdict : component_step(sim, k, begin, length);
+}
+
 #if WIDTH == 1
-    while (verdict == AT_EVENT && !sim->events.located) {
-        const double end = begin + length;
-        verdict = python_call(sim, ALONE, k, sim->reached, 0.0);
-        begin = sim->reached - sim->t, length = end - begin;
-        if (verdict || length <= sim->events.tolerance) return verdict;
-        verdict = component_set_inputs(sim, &sim->components[k], begin, length, last);
-        if (!verdict) verdict = component_step(sim, k, begin, length);
+/* Goes on where steps are not repeated for events, after the first try of a step from `begin` to `end` [s]: the component
+ * goes through those inside of the step alone. One that goes back to its beginning gets shorter steps up to the event. */
+static int go_on_alone(Simulation *sim, int k, int verdict, double begin, double end, int last) {
+    const double least = sim->events.tolerance;
+    double length = end - begin;
+    while (verdict == AT_EVENT || (!verdict && end - begin - length > least)) {
+        const double at = verdict && length > least ? sim->reached - sim->t : begin + length;
+        if (verdict && at - begin <= least && length > least) length *= 0.5;
+        else {
+            if (verdict) verdict = python_call(sim, ALONE, k, sim->reached, 0.0);
+            begin = at, length = end - at;
+            if (verdict || length <= least) return verdict;
+        }
+        verdict = set_and_step(sim, k, begin, length, last);
     }
-#endif
     return verdict;
 }
+#endif
 
 /* Take a component over the communication step, in its own steps; `counter` is that of ticks before, and after. */
 int component_advance(Simulation *sim, int k, Real h, double *counter) {
@@ -113,6 +120,10 @@ int component_advance(Simulation *sim, int k, Real h, double *counter) {
         if (j && sim->t + begin >= sim->end) break; /* the only FMU has stopped */
 #endif
         int verdict = set_and_step(sim, k, begin, length, j == n - 1);
+#if WIDTH == 1
+        if (verdict == AT_EVENT && !sim->events.located)
+            verdict = go_on_alone(sim, k, verdict, begin, begin + length, j == n - 1);
+#endif
         if (!verdict && p->halved && j == 0) verdict = read_middle(sim, k, h);
         if (verdict) return verdict;
     }

@@ -55,7 +55,8 @@ enum { DRIVEN = -1, LINE = 1, DEGREE = 3, POLYNOMIAL = 6 }; /* POLYNOMIAL: Reals
 enum { CONTINUE, STOP, DISCARDED, ABORT, AT_EVENT };       /* verdicts; ABORT: the cause is not an FMU; AT_EVENT: an FMU
                                     has stopped at an event inside the step */
 enum { CALL, STEP, SAVE, RESTORE, MASTER, INSTANT, ALONE };        /* requests to Python; also numbers of FMI functions */
-enum { DISCARD = 2, OUT_OF_RANGE = -1, WITHDRAWN = -3, CHANGED = -5 };  /* fmi2Discard, fmi3Discard; further statuses: an integer that the other type cannot
+enum { WARNING = 1, DISCARD, FATAL = 4 };                  /* statuses of FMI 2.0 and 3.0 */
+enum { OUT_OF_RANGE = -1, WITHDRAWN = -3, CHANGED = -5 };  /* further statuses: an integer that the other type cannot
                                     hold; a step that is repeated, so that its messages do not count; an FMU has changed
                                     the floating-point environment, which was restored */
 enum { SOLVED = 0, SINGULAR = -1, NOT_CONVERGED = -2, NEEDS_INVERSE = -4 }; /* outcomes for an algebraic loop */
@@ -66,6 +67,7 @@ enum { SCALED, RELATIVE, WORST };                          /* residual norms of 
                                     start; to the present magnitude; the largest accepted relative one */
 enum { MISSING, OLD, RENEWED };                            /* the inverse in Newton's method for a plant */
 enum { EXACT = 1, NEAR_EVENT };                            /* see CouplingInput, at_end */
+enum { AT_END = 1, AT_BEGINNING };                         /* places of an instant, the latter instead of the step */
 enum { PREDICTED, BY_SCENARIO, LEADING, EXTRAPOLATED };    /* sources of an input, see linear_prediction.c */
 enum { BLOCK = 8 };                                        /* columns of matrices are padded to a multiple of it */
 
@@ -363,7 +365,7 @@ typedef struct Events {
     int32_t present;  /* used, or there are such inputs; else no step looks for events */
     int32_t located;  /* all components can go back, so that a step is repeated to its first event */
     int32_t divides;  /* steps end at announced events and ticks */
-    int32_t due;      /* there is an instant at the end of the step; 2: at its beginning, instead of the step */
+    int32_t due;      /* there is an instant: AT_END, AT_BEGINNING; 0: none */
     int32_t by_asking; /* of an FMU that has asked for it, without a time */
     int32_t restless; /* an FMU has been found to be restless: the step is repeated */
     int32_t at_end;   /* also where the step is accepted for other reasons only: of a restless FMU */

@@ -46,7 +46,7 @@ int event_reached(Simulation *sim, Component *p, double reached, int early) {
     if (behind > e->tolerance || e->restless) return AT_EVENT;
     if (p->restless > 0 && !known) return e->at_end = 1, CONTINUE;
     if (!located) return AT_EVENT;
-    e->due = 1, e->by_asking |= !known && !at_announced;
+    e->due = AT_END, e->by_asking |= !known && !at_announced;
     return CONTINUE;
 }
 
@@ -75,7 +75,7 @@ int event_approached(Simulation *sim, double h, int *goes_back) {
         return CONTINUE;
     }
     if (time <= 0.0) {
-        e->due = 2, sim->shorter = 0.0;
+        e->due = AT_BEGINNING, sim->shorter = 0.0;
         return CONTINUE;
     }
     if (!sim->rollback || ++e->tries > MOST_TRIES) return python_call(sim, INSTANT, -1, sim->t, h);

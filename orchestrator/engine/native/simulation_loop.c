@@ -319,7 +319,7 @@ static int next_step(Simulation *sim) {
     if (!any(done)) {
         sim->repeated++;
 #if WIDTH == 1
-        if (sim->events.due == 2) return go_through_events(sim); /* at the beginning of the step */
+        if (sim->events.due == AT_BEGINNING) return go_through_events(sim);
 #endif
         return CONTINUE;
     }
