@@ -50,8 +50,8 @@ static double value_of(Core *core, int r) {
         if (!core->dx_valid) core_derivatives(core);
         return core->dx[r - FIRST_DERIVATIVE];
     }
-    if (r < FIRST_INPUT) return core->s.p[r - FIRST_PARAMETER];
-    if (r < FIRST_STATE) return core->s.u[r - FIRST_INPUT];
+    if (NP > 0 && r < FIRST_INPUT) return core->s.p[r - FIRST_PARAMETER];
+    if (NU > 0 && r < FIRST_STATE) return core->s.u[r - FIRST_INPUT];
     core_start(core);
     return core->s.x[r - FIRST_STATE];
 }
