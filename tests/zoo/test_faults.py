@@ -40,9 +40,9 @@ def _run(folder: Path, system: Path, *options: str, interrupt: Path | None = Non
 
 
 def _check_rows(folder: Path, fmu: Faulty) -> None:
-    """The rows until the fault are there; a good earlier result stays."""
+    """The rows until the fault are there; a good earlier result stays, unless all rows are there."""
     partial, result = folder / "trace.partial.csv", folder / "trace.csv"
-    if fmu.harmless:
+    if fmu.harmless or fmu.phase == "free":
         assert not partial.exists()
         partial = result
     else:
