@@ -135,13 +135,16 @@ class Runs:
             return None, Ended(Status.FAILED, f"not begun within {job.options['time_limit']:g} s")
         sink = TraceInMemory()
         try:
-            result = job.result(run_isolated(job, sink, self._between, self._pool), sink)
+            end = run_isolated(job, sink, self._between, self._pool)
+            result = job.result(end, sink)
         except RunFailed as failed:
             return failed.result, self._failed(failed, failed.__cause__)
         except Problem as problem:
             return None, self._failed(problem, problem)
         except KeyboardInterrupt as interrupt:
             return interrupt.result if isinstance(interrupt, Interrupted) else None, BY_USER
+        if end.closing:
+            return result, BY_USER if end.interrupted else self._failed(Problem(end.closing), None)
         notes, unreliable = result.card.notes, result.card.unreliable
         early = [note.removeprefix(ENDS_EARLY) for note in notes if note.startswith(ENDS_EARLY)]
         if early:

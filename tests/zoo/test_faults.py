@@ -157,7 +157,7 @@ def _check_row(fmu: Faulty, row: pd.Series, lag: float) -> None:
         ([("segfault", "step"), ("spin", "step"), ("exit_0", "instantiate")], 2),
         *(pytest.param(list(product(FAULTS, PHASES)), major, marks=shards.faults) for major in (2, 3)),
     ],
-    ids=["three", "each-2", "each-3"],
+    ids=["four", "each-2", "each-3"],
 )
 def test_each_fault_is_a_row(tmp_path: Path, names: list[tuple[str, str]], major: int) -> None:
     """The other runs are as they would be without it, and no process or file is left."""
