@@ -29,6 +29,7 @@ from uuid import uuid4
 
 from distributed import Client, Reschedule, WorkerPlugin, as_completed, get_worker
 from distributed.client import ClosedClientError
+from distributed.core import Status
 from distributed.scheduler import KilledWorker
 
 from orchestrator.base.errors import Problem
@@ -179,11 +180,18 @@ class RunsPlugin(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
 
 
 def work(name: str, tasks: Sequence[Any]) -> bytes | None:
-    """Run a batch on this worker: pickled outcomes, seconds, and an error. None: it has not entered yet."""
+    """Run a batch on this worker, when it has entered: pickled outcomes, seconds, and an error.
+
+    None if it does not enter. It waits here, because a new task would not know how often it was repeated.
+    """
     worker, found, error = get_worker(), list[Any](), ""
-    plugin = worker.plugins.get(name)
-    if plugin is None:
-        return None
+    end = time.monotonic() + WORKER_TIMEOUT
+    while (plugin := worker.plugins.get(name)) is None:
+        if worker.status != Status.running:
+            raise Reschedule
+        if time.monotonic() > end:
+            return None
+        time.sleep(POLL_INTERVAL)
     began = time.perf_counter()
     try:
         runs = plugin.opened()
@@ -346,18 +354,22 @@ def many(
 ) -> None:
     """`many` of `lanes.many`, on a cluster.
 
-    Dask repeats the batches of a worker that dies, up to three times. Then the tasks of a batch are tried one
-    by one, and one that loses its workers again has an outcome that says so.
+    Dask repeats the batches of a worker that dies, up to three times, also those that only waited there. The
+    tasks of batches that it gives up are the last ones: each runs while nothing else does, and if Dask gives
+    it up again, its outcome says so.
     """
-    waiting, again, running = deque(tasks), list[Sequence[Task]](), dict[Any, Sequence[Task]]()
+    waiting, running, again = deque(tasks), dict[Any, Sequence[Task]](), list[Sequence[Task]]()
     found, kept, packing, failure, at_once = list[Outcome](), -interval, Packing(), "", False
+    suspects, alone = list[Task](), False
     ended = as_completed(loop=connection.loop, with_results=True, raise_errors=False)
     with DeferredInterrupts() as interrupts:  # Dask's callbacks would swallow a KeyboardInterrupt
         workers = Workers(connection, runs)
         try:
-            while waiting or again or running:
+            while waiting or again or running or suspects:
                 with _connected():
                     places, at_once = OUTSTANDING * workers.threads(at_once), False
+                    if not (waiting or again or running):
+                        again, alone = [[suspects.pop()]], True
                     while (waiting or again) and len(running) < places:
                         size = 0 if again else min(packing.size(len(waiting), places), len(waiting))
                         batch = again.pop() if again else [waiting.popleft() for _ in range(size)]
@@ -375,8 +387,8 @@ def many(
                         found, failure = found + outcomes, failure or wrong
                     elif result is None or isinstance(error, (ImportError, AttributeError)):
                         again, at_once = [*again, batch], True  # of a worker that has not entered
-                    elif isinstance(error, KilledWorker) and len(batch) > 1:
-                        again += [[task] for task in batch]
+                    elif isinstance(error, KilledWorker) and not alone:
+                        suspects += batch
                     elif isinstance(error, KilledWorker):
                         reason = f"the Dask worker died {error.allowed_failures + 1} times"
                         found.append(runs.lost(batch[0], reason))
