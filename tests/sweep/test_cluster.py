@@ -19,13 +19,16 @@ from distributed import Client, LocalCluster
 from distributed.utils import LoopRunner, json_load_robust
 from kit import shards
 from kit.mistakes import problem
+from kit.needs import needs
 from kit.wait import LONG, until
 from sweep.studies import FAILS, GAIN, content, run, study
 
 from orchestrator import Problem, batch
 from orchestrator.lanes import cluster
 from orchestrator.lanes.cluster import BATCH_TIME, LARGE, Packing
+from orchestrator.studies import Factor, Output, Study
 from orchestrator.studies.parameter_study import sweep
+from orchestrator.studies.runs import StudyRuns
 
 RUNS = 240  # in many batches
 MANY = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop = 20")
@@ -38,7 +41,7 @@ HERE = tuple(cluster.installation())
 @pytest.fixture(scope="module")
 def inside() -> Iterator[Client]:
     """A client of a scheduler and a worker in threads of this process."""
-    options = {"processes": False, "threads_per_worker": 2, "dashboard_address": None}
+    options = {"processes": False, "threads_per_worker": 2, "dashboard_address": "127.0.0.1:0"}
     with LocalCluster(1, **options, silence_logs=50) as there, Client(there) as client:
         yield client
 
@@ -217,6 +220,31 @@ def test_a_batch_whose_cluster_is_lost_keeps_what_is_done(gain, inside, monkeypa
     assert lost.reasons == ["the Dask cluster has no workers left"] * 2
 
 
+MASS = Factor("manipulator.head_mass", "uniform", {"minimum": 300, "maximum": 900})
+PEAK = Output("peak", "swing.swing_pressure_a", "maximum", band=True)
+
+
+@shards.machine
+@pytest.mark.parametrize("compiler", [True, False])
+def test_lanes_of_a_study(compiler, built, tmp_path, inside, monkeypatch):
+    """Byte by byte as here; if a worker lacks the compiler, as here without one: in processes."""
+    plan = Study("Mass", str(built / "harvester.ssp"), runs=20, stop=0.2, factors=(MASS,), outputs=(PEAK,))
+    units, together = StudyRuns.units, list[int]()
+
+    def noted(self, samples, lanes=True):
+        found = units(self, samples, lanes and compiler)
+        together.extend(map(len, found))
+        return found
+
+    monkeypatch.setattr(StudyRuns, "units", noted)
+    sweep(plan, tmp_path / "here")
+    monkeypatch.setattr(cluster, "installation", lambda: (*HERE[:3], HERE[3] if compiler else ""))
+    monkeypatch.setattr(StudyRuns, "units", units)
+    sweep(plan, tmp_path / "there", client=inside)
+    assert together == ([8, 8, 4] if compiler else [1] * 20)
+    assert content(tmp_path / "there") == content(tmp_path / "here")
+
+
 @pytest.mark.parametrize("lanes", [True, pytest.param(False, marks=shards.machine)])
 def test_a_batch_of_the_machine(lanes, built, inside):
     """In lanes the workers compile, alone they have processes: bit for bit as here."""
@@ -279,12 +307,12 @@ class Cluster:
     The scheduler allows one repetition of what a dead worker has done, in place of three.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._stack = folder, ExitStack()
+    def __init__(self, folder: Path, *options: str, **settings: str) -> None:
+        self._folder, self._stack, self._options, self._settings = folder, ExitStack(), options, settings
 
     def __enter__(self) -> "Cluster":
         file = self._folder / "scheduler.json"
-        options = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+        options = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file), *self._options)
         self.scheduler = self.start(f"{DASK.format('scheduler')}", *options)
         self.address = json_load_robust(file, timeout=LONG)["address"]
         return self
@@ -295,8 +323,9 @@ class Cluster:
     def start(self, code: str, *arguments: str) -> subprocess.Popen[bytes]:
         """A program of Dask."""
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        python = {"cwd": self._folder, "env": {**os.environ, **SETTINGS}}
-        command = [sys.executable, "-c", code, *arguments, "--no-dashboard"]
+        python = {"cwd": self._folder, "env": {**os.environ, **SETTINGS, **self._settings}}
+        own_port = ("--dashboard-address", "127.0.0.1:0")
+        command = [sys.executable, "-c", code, *arguments, *own_port]
         process = self._stack.enter_context(subprocess.Popen(command, **quiet, **python))
         self._stack.callback(process.kill)
         return process
@@ -304,7 +333,7 @@ class Cluster:
     def worker(self, before: str = "", nanny: bool = False) -> subprocess.Popen[bytes]:
         """A worker with one thread; before: code that it runs first."""
         options = ("--host", "127.0.0.1", "--nthreads", "1", "--nanny" if nanny else "--no-nanny")
-        return self.start(before + DASK.format("worker"), self.address, *options)
+        return self.start(before + DASK.format("worker"), self.address, *options, *self._options)
 
     def wait(self, workers: int) -> None:
         """Until so many have joined."""
@@ -322,6 +351,7 @@ SETTINGS = {
     "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
 }
 DASK = "from distributed.cli.dask_{} import main; main()"
+ROLES = ("scheduler", "worker", "client")
 WITHOUT_PACKAGE = "import sys; sys.modules['orchestrator'] = None; "
 
 
@@ -470,3 +500,27 @@ def test_an_end_is_told_in_one_line(number, told, status, gain, processes, tmp_p
     assert 0 < len(fresh) < RUNS
     run(file, "undisturbed")
     assert content(out) == content(tmp_path / "undisturbed")
+
+
+@needs("openssl")
+@shards.faults
+def test_the_tls_settings_of_dask_are_used(file, tmp_path):
+    """With certificates of one's own a study runs over tls://, and without them nobody gets in."""
+    key, cert = tmp_path / "key.pem", tmp_path / "cert.pem"
+    make = f"openssl req -x509 -newkey rsa:2048 -nodes -keyout {key} -out {cert} -days 2 -subj /CN=study"
+    subprocess.run(make.split(), check=True, capture_output=True)
+    tls = {"distributed.comm.tls.ca-file": str(cert), "distributed.comm.require-encryption": True}
+    for role in ROLES:
+        tls |= {f"distributed.comm.tls.{role}.{n}": str(f) for n, f in (("cert", cert), ("key", key))}
+    settings = {"DASK_DISTRIBUTED__COMM__TLS__CA_FILE": str(cert)}
+    for role in ROLES:
+        settings[f"DASK_DISTRIBUTED__COMM__TLS__{role.upper()}__CERT"] = str(cert)
+        settings[f"DASK_DISTRIBUTED__COMM__TLS__{role.upper()}__KEY"] = str(key)
+    with Cluster(tmp_path, "--protocol", "tls", **settings) as there:
+        assert there.address.startswith("tls://")
+        line = problem(lambda: sweep(file, tmp_path / "out", scheduler=there.address))
+        assert line.startswith(f"--scheduler {there.address}: expected a Dask scheduler, got TLS")
+        with dask.config.set(tls):
+            there.worker()
+            there.wait(1)
+            assert set(sweep(file, tmp_path / "out", scheduler=there.address).table["status"]) == {"ok"}
