@@ -42,6 +42,7 @@ CONNECT_TIMEOUT = 10.0  # [s], for the scheduler and for its first worker
 WORKER_TIMEOUT = 60.0  # [s] without workers after which all ends; others can be started until then
 ASK_INTERVAL = 1.0  # [s] between two questions for the workers
 BATCH_TIME = 1.5  # [s] of work in a batch: long beside the milliseconds of its messages, short to lose
+PACE = 0.005  # [s] of work for each batch that is outstanding, of which the scheduler manages 200 per second
 OUTSTANDING = 2  # batches for each thread of a worker: one that runs and one that waits
 LARGE = 2**16  # bytes; contents above it travel by their hash
 CODE = (".py", ".c", ".h", ".cpp")
@@ -246,14 +247,18 @@ class _Unpickler(pickle.Unpickler):
 
 
 class Packing:
-    """How many tasks make a batch: about BATCH_TIME of work; one at first, equal shares in the end."""
+    """How many tasks make a batch: about BATCH_TIME of work, on large clusters more; one at first.
+
+    In the end batches are equal shares of what is left.
+    """
 
     def __init__(self) -> None:
         self._time = math.inf  # of a task [s]
 
     def size(self, waiting: int, places: int) -> int:
         """For a number of waiting tasks, and of batches that can be outstanding."""
-        return max(1, min(int(BATCH_TIME / self._time), math.ceil(waiting / places)))
+        work = max(BATCH_TIME, PACE * places)
+        return max(1, min(int(work / self._time), math.ceil(waiting / places)))
 
     def measured(self, tasks: int, seconds: float) -> None:
         """Learn from a batch that is done; the last ones count most."""

@@ -182,7 +182,9 @@ def test_batches_have_about_the_same_work():
         for _ in range(30):
             packing.measured(10, 10 * task)
         # the mean of the last batches is nearly that of the last tasks
-        assert packing.size(10**9, 4) == pytest.approx(max(BATCH_TIME / task, 1), abs=1, rel=1e-3)
+        assert packing.size(10**12, 4) == pytest.approx(max(BATCH_TIME / task, 1), abs=1, rel=1e-3)
+        # 1000 workers with 10 s in each batch end 100 batches per second
+        assert packing.size(10**12, 2000) == pytest.approx(max(10 / task, 1), abs=1, rel=1e-3)
 
 
 def test_the_last_batches_are_equal_shares():
