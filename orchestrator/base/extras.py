@@ -28,7 +28,7 @@ NEEDED_BY: Mapping[str, str] = {
     "build": "`harvester build`, `crane`; `fmus.build`; in `batch` and `sweep` several machines on each core",
     "view": "`harvester view`",
     "sweep": "`harvester sweep`, `convergence`",
-    "cluster": "`--scheduler` of `harvester sweep` and `convergence`; needs `[sweep]`, too",
+    "cluster": "`--scheduler`: studies on a cluster of Dask; needs `[sweep]`, too",
     "identify": "`harvester identify`",
     "files": "Parquet and MATLAB files, `to_pandas()`",
     "logger": "MF4 and TDMS files of loggers",

@@ -101,7 +101,7 @@ class Tutorial:
         return printed.getvalue()
 
 
-COMMANDS = ("harvester", "make", "python", "pip", "py", "omc", "dask", ".venv")
+COMMANDS = ("harvester", "make", "python", "pip", "py", "omc", ".venv")
 LASTING = ("harvester view",)
 MARK = re.compile(r"<!-- not run: (?:`([^`]+)`, )?(.+?) -->", re.DOTALL)
 
