@@ -113,6 +113,7 @@ NAVIGATION = {
         "docs/linearize.md",
         "docs/view.md",
         "docs/sweep.md",
+        "docs/cluster.md",
     ],
     "Examples": [
         "examples/fidelity/README.md",

@@ -21,7 +21,8 @@ def convergence(
     steps: Annotated[str, Kind("S,S,...")] = "0.0005,0.001,0.002,0.005,0.01,0.02",
     masters: Annotated[str, Kind("NAME,...")] = "",
     signals: Patterns = None,
-    repeats: Annotated[int, Kind("N")] = 3,
+    repeats: Annotated[int | None, Kind("N")] = None,
+    scheduler: Annotated[str | None, Kind("URL")] = None,
     out: Folder = BUILD / "convergence",
     **options: Unpack[CaseArguments],
 ) -> None:
@@ -37,17 +38,23 @@ def convergence(
                 all.
     signals     Signals whose error is computed, such as '*_pressure' or, with component, 'boom_stick.*', one
                 table for each; default: speeds and pressures.
-    repeats     Number of times that each run is timed, at least 1; the median is reported.
+    repeats     Number of times that each run is timed, at least 1; the median is reported; default: 3.
+    scheduler   Run on this Dask cluster, such as tcp://host:8786, without times: runs that share computers
+                have none to compare; default: this computer.
     out         Folder of the tables and figures.
     """
     require("sweep", "harvester convergence", "scipy")
     from fmus.package_files import data
+    from orchestrator.lanes.many import connected
     from orchestrator.studies.convergence import convergence_study as study
 
+    if repeats is not None and scheduler:
+        raise Problem("--repeats: expected none with --scheduler, whose runs are not timed")
     file, work_cycle = system_file(system), data("reference/work_cycle.csv")
     tell_built(file, {})
-    chosen = study.read_steps(steps), study.items(masters), signals or (), repeats
-    study.convergence(file, out, *chosen, reference, work_cycle, scenario, **options)
+    chosen = study.read_steps(steps), study.items(masters), signals or (), 3 if repeats is None else repeats
+    with connected(scheduler) as client:
+        study.convergence(file, out, *chosen, reference, work_cycle, scenario, client=client, **options)
 
 
 PATHS = ("line", "square")
@@ -165,17 +172,19 @@ def sweep(
     study: Annotated[Path, Kind("STUDY.toml", positional=True)],
     out: Folder | None = None,
     workers: Annotated[int | None, Kind("N", least=1)] = None,
+    scheduler: Annotated[str | None, Kind("URL")] = None,
     fresh: bool = False,
     no_report: bool = False,
 ) -> bool:
-    """Run a parameter study on all cores.
+    """Run a parameter study on all cores, or on a cluster.
 
     An interrupted study continues when it is started again. The exit status is 1 if no run succeeded, or none
     is reliable.
 
     study       Description of the study: what is varied, what is run, and which results are kept.
     out         Folder of the results; default: build/sweeps/STUDY.
-    workers     Number of runs at the same time; default: one per core.
+    workers     Number of runs at the same time on this computer; default: one per core.
+    scheduler   Run on this Dask cluster instead, such as tcp://host:8786; default: this computer.
     fresh       Delete earlier results in DIR and start again.
     no_report   Leave out the page report.html.
     """
@@ -185,8 +194,11 @@ def sweep(
 
     chosen = read_study(study)
     tell_built(chosen.system_file, {})
+    if workers and scheduler:
+        cluster = "whose cluster determines the number of workers"
+        raise Problem(f"--workers: expected none with --scheduler, {cluster}")
     folder = out or parameter_study.FOLDER / study.stem
-    run = partial(parameter_study.sweep, workers=workers, fresh=fresh)
+    run = partial(parameter_study.sweep, workers=workers, scheduler=scheduler, fresh=fresh)
     with parameter_study.progress() as watch:
         results = run(chosen, folder, watch=watch)
     table = results.table

@@ -4,18 +4,20 @@ Machines of native FMUs of this project run in the vector lanes of all cores (`g
 processes, so that a crash of an FMU ends only one machine (`many`).
 """
 
+from __future__ import annotations
+
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
 from orchestrator.base.options import checked, documented
 from orchestrator.base.processes import available_cores, machine_memory
 from orchestrator.base.signals import completions, found
@@ -30,10 +32,13 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.description import Value
 from orchestrator.lanes.compiled import LANES, NotInLanes
 from orchestrator.lanes.group import Ended, Lanes, Status
-from orchestrator.lanes.many import BY_USER, Runs, many
+from orchestrator.lanes.many import BY_USER, ClusterLost, Runs, archives_of, compiles, many
 from orchestrator.ssp.masters import MASTERS
 from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 MEMORY_SHARE = 0.5  # of the memory of this computer, for the arrays of a result
 
@@ -99,6 +104,7 @@ def batch(
     *,
     record: str | Sequence[str] | None = None,
     lanes: bool | None = None,
+    client: Client | None = None,
     **options: Unpack[BatchArguments],
 ) -> BatchResult:
     """Co-simulate n machines that differ in parameters or start values.
@@ -107,6 +113,7 @@ def batch(
     record       recorded signals; default: all outputs
     lanes        True: only in the vector lanes, else NotInLanes; False: one by one; default: in lanes if the
                  FMUs are native FMUs of this project, and the compiler is installed
+    client       a connection to a Dask cluster for the machines, which stays open; not with `workers`
 
     The options hold for all machines. A machine that fails does not stop the others. Raises Interrupted
     with the result until an interrupt, and Problem for a mistake.
@@ -118,7 +125,10 @@ def batch(
         print(result["manipulator.swing_angle"][:, -1])  # [rad], of each machine
     """
     given = checked(BatchArguments, options, "batch")
-    workers = given.pop("workers", None) or available_cores()
+    workers = given.pop("workers", None)
+    if workers and client:
+        raise Problem("batch: workers: expected none with a client, whose cluster has its own")
+    where = client or workers or available_cores()
     job = Job.of(system, scenario, {**given, "record": record})
     if job.coupling.method.own:
         got = f"got {job.coupling.method.name}, whose functions are in the calling process"
@@ -151,16 +161,22 @@ def batch(
     try:
         if lanes is not False:
             try:
+                if not compiles(where):
+                    raise NotInLanes("a worker of the cluster has no compiler")
                 together = Lanes(job, ports)
-                return result(run_machines(job, together, arrays_in, count, ports, rows, workers), ())
+                return result(run_machines(job, together, arrays_in, count, ports, rows, where), ())
             except NotInLanes as reason:
                 if lanes:
                     raise
                 notes = (f"the machines ran one by one: {reason}",)
-        return result(run_machines(job, None, arrays_in, count, ports, rows, workers), notes)
-    except KeyboardInterrupt:
+        return result(run_machines(job, None, arrays_in, count, ports, rows, where), notes)
+    except (KeyboardInterrupt, ClusterLost) as end:
+        why = Ended(Status.FAILED, str(end)) if isinstance(end, ClusterLost) else BY_USER
         unfinished = {i for row in rows for i in np.flatnonzero(np.isnan(row[:, -1])).tolist()}
-        raise Interrupted(result(dict.fromkeys(unfinished, BY_USER), ())) from None
+        told = result(dict.fromkeys(unfinished, why), ())
+        if isinstance(end, ClusterLost):  # the machines that are done are complete
+            return told
+        raise Interrupted(told) from None
 
 
 # ---- what differs and what is recorded
@@ -237,6 +253,83 @@ def _allocate(signals: Mapping[str, Port], count: int, points: int) -> list[Arra
 # ---- the runs
 
 
+Task = tuple[int, Mapping[Port, Array]]  # number of the first machine, and the values of those run together
+
+
+class MachineRuns:
+    """The runs of machines of a job: each in a process, or groups in lanes.
+
+    rows       one array for each signal of all machines, shape (n, points), which is filled; None: the rows
+               of a task are part of its outcome
+    archives   see `archives_of`
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        signals: Sequence[Port],
+        lanes: Lanes | None,
+        rows: Sequence[Array] | None = None,
+        archives: Mapping[Location, bytes] | None = None,
+    ) -> None:
+        self._given, self._lanes, self._rows = (job, signals), lanes, rows
+        self._runs = Runs([] if lanes else [job.system], archives)
+        (system,) = self._runs.systems or [job.system]
+        self._job = replace(job, system=system, options={**job.options, "record": [*map(str, signals)]})
+        self._points, self.stop, self.close = recorded_times(job.times), self._runs.stop, self._runs.close
+
+    @classmethod
+    def opened(
+        cls, job: Job, signals: Sequence[Port], archives: Mapping[Location, bytes], in_lanes: bool, end: float
+    ) -> MachineRuns:
+        """Those of another computer; end: of the time limit, by the clock that computers share [s]."""
+        job = replace(job, options={**job.options, "deadline": time.monotonic() + end - time.time()})
+        runs = cls(job, signals, None, None, archives)
+        try:
+            runs._lanes = Lanes(runs._job, signals, generated=True) if in_lanes else None
+        except BaseException:
+            runs.close()
+            raise
+        return runs
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Opened anew, with the FMUs as bytes."""
+        (job, signals), end = self._given, time.time() + self._job.options["deadline"] - time.monotonic()
+        return MachineRuns.opened, (job, signals, archives_of([job.system]), self.compiled, end)
+
+    @property
+    def compiled(self) -> bool:
+        """Are they in lanes?"""
+        return self._lanes is not None
+
+    def run(self, task: Task) -> tuple[int, list[Ended | None], list[Array] | None]:
+        """The number of the first machine, how each ended, and the rows if nobody else has them."""
+        first, values = task
+        count, job = len(next(iter(values.values()))), self._job
+        if self._rows is None:
+            rows = [np.full((count, len(self._points)), np.nan) for _ in job.signals or ()]
+        else:
+            rows = [row[first : first + count] for row in self._rows]
+        if self._lanes:
+            group = self._runs.together(self._lanes, values, rows, 0, count, job.options)
+            ended = [end for _, end in group]
+        else:
+            start = {port: float(array[0]) for port, array in values.items()}
+            result, end = self._runs.alone(replace(job, system=_with_values(job.system, start)))
+            ended, points = [end], self._points
+            if result is not None and len(result.time):
+                length = min(len(result.time), len(points))
+                recorded = job.times.aligned(result.time[:length]) == points[:length]
+                for row, name in zip(rows, job.signals or (), strict=True):
+                    row[0, :length][recorded] = result.trace[name][:length][recorded]
+        return first, ended, rows if self._rows is None else None
+
+    def lost(self, task: Task, reason: str) -> tuple[int, list[Ended | None], None]:
+        """The outcome of machines that cannot be run."""
+        first, values = task
+        return first, [Ended(Status.FAILED, reason)] * len(next(iter(values.values()))), None
+
+
 def run_machines(
     job: Job,
     lanes: Lanes | None,
@@ -244,33 +337,25 @@ def run_machines(
     count: int,
     signals: Sequence[Port],
     rows: Sequence[Array],
-    workers: int,
+    where: int | Client,
 ) -> dict[int, Ended]:
     """Simulate n machines, in lanes or each in a process; returns those that ended early or are not reliable.
 
     values   of all machines, shape (n,), in the unit of the FMU
     rows     one array for each signal of all machines, shape (n, points), which is filled
     """
-    ended, points = dict[int, Ended | None](), recorded_times(job.times)
-    job = replace(job, options={**job.options, "record": [*map(str, signals)]})
-    with closing(Runs([] if lanes else [job.system])) as runs:
-        job = job if lanes else replace(job, system=runs.systems[0])
+    ended, together = dict[int, Ended | None](), LANES if lanes else 1
 
-        def work(first: int) -> Iterable[tuple[int, Ended | None]]:
-            if lanes:
-                group = runs.together(lanes, values, rows, first, count, job.options)
-                return enumerate((end for _, end in group), first)
-            start = {port: float(array[first]) for port, array in values.items()}
-            result, end = runs.alone(replace(job, system=_with_values(job.system, start)))
-            if result is not None and len(result.time):
-                length = min(len(result.time), len(points))
-                recorded = job.times.aligned(result.time[:length]) == points[:length]
-                for row, name in zip(rows, job.signals or (), strict=True):
-                    row[first, :length][recorded] = result.trace[name][:length][recorded]
-            return [(first, end)]
+    def keep(found: list[tuple[int, list[Ended | None], list[Array] | None]]) -> None:
+        for first, ends, new in found:
+            ended.update(enumerate(ends, first))
+            for row, part in zip(rows, new or (), strict=new is not None):
+                row[first : first + len(ends)] = part
 
-        firsts = range(0, count, LANES if lanes else 1)
-        many(work, firsts, lambda found: ended.update(chain(*found)), runs.stop, workers)
+    firsts = range(0, count, together)
+    tasks = [(i, {port: array[i : i + together] for port, array in values.items()}) for i in firsts]
+    with closing(MachineRuns(job, signals, lanes, rows)) as runs:
+        many(runs, tasks, keep, where)
     return {machine: end for machine, end in ended.items() if end}
 
 

@@ -129,8 +129,11 @@ class Model:
         return bool(0 <= reference - s.parameters - s.inputs - s.states < s.states)
 
 
-def sources_of(component: Component) -> dict[str, bytes]:
-    """The C files of a native FMU; raises NotInLanes for another one."""
+def sources_of(component: Component, generated: bool = False) -> dict[str, bytes]:
+    """The C files of a native FMU; raises NotInLanes for another one.
+
+    generated   the client of this worker has generated the FMU, whose code runs here in any case
+    """
     source = component.source
     assert source is not None
     try:
@@ -139,16 +142,19 @@ def sources_of(component: Component) -> dict[str, bytes]:
         code = {name: files.get(f"sources/{name}.inc") or files[f"sources/{name}"] for name in SOURCES}
     except (Problem, KeyError):
         raise NotInLanes(f"{component.name} ({source}) has no C sources of harvester-cosim") from None
-    if not is_generated(files):
+    if not (generated or is_generated(files)):
         expected = "expected an FMU that this installation of harvester-cosim has built"
         raise NotInLanes(f"{component.name} ({source}): {expected}, got another one or a changed one")
     return code
 
 
-def compiled_model(component: Component, begin: Callable[[], object] | None = None) -> Model:
+def compiled_model(
+    component: Component, begin: Callable[[], object] | None = None, generated: bool = False
+) -> Model:
     """The compiled model of a component; raises NotInLanes if that is impossible.
 
-    begin   is called before a compilation
+    begin       is called before a compilation
+    generated   see `sources_of`
     """
     if component.source is None:
         raise NotInLanes(f"{component.name} is not an FMU")
@@ -157,7 +163,7 @@ def compiled_model(component: Component, begin: Callable[[], object] | None = No
     variables = component.interface.variables.values()
     if others := [v.name for v in variables if not v.is_real]:
         raise NotInLanes(f"{component.name}.{others[0]} is not a Real variable")
-    code = sources_of(component)
+    code = sources_of(component, generated)
     if re.search(rb"#define SAMPLING 0(\.0)? ", code["sizes.h"]) is None:
         raise NotInLanes(f"{component.name} ({component.source}) is sampled, as a control unit")
     made = recipe(component.interface.identifier, "model.cpp", code, processor())

@@ -113,7 +113,7 @@ class Instances:
             np.ctypeslib.as_array(pointer, (row + 1, LANES))[row] = value
 
 
-def _compiled(components: Collection[Component]) -> list[Model]:
+def _compiled(components: Collection[Component], generated: bool) -> list[Model]:
     """The models, by several compilers at once, and a line if anything is to be compiled."""
     with ExitStack() as stack, ThreadPoolExecutor(available_cores()) as threads:
         first = Lock()
@@ -122,7 +122,7 @@ def _compiled(components: Collection[Component]) -> list[Model]:
             if first.acquire(blocking=False):
                 stack.enter_context(doing(COMPILING))
 
-        return list(threads.map(partial(compiled_model, begin=begin), components))
+        return list(threads.map(partial(compiled_model, begin=begin, generated=generated), components))
 
 
 class Lanes:
@@ -134,11 +134,11 @@ class Lanes:
     places    index of each variable in the memory of `Instances`
     """
 
-    def __init__(self, job: Job, signals: Sequence[Port]) -> None:
-        """Raises NotInLanes if the system or its coupling is not supported."""
+    def __init__(self, job: Job, signals: Sequence[Port], generated: bool = False) -> None:
+        """Raises NotInLanes if the system or its coupling is not supported; generated: see `sources_of`."""
         self.job, self.system, self.times, self.signals = job, job.system, job.times, signals
         _check_coupling(job)
-        self.models = _compiled(self.system.components.values())
+        self.models = _compiled(self.system.components.values(), generated)
         self.index = {name: k for k, name in enumerate(self.system.components)}
         with ExitStack() as stack:
             slaves = {}

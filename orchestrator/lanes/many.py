@@ -1,6 +1,7 @@
 """Many runs, several at a time: `many` hands out tasks, `Runs` has the processes and the groups of lanes.
 
-`batch` and the studies go through both.
+`batch` and the studies go through both. On a cluster `cluster` hands out the tasks, and each worker has
+`Runs`.
 """
 
 from __future__ import annotations
@@ -9,15 +10,16 @@ import math
 import threading
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
 from orchestrator.base.errors import LimitReached, Problem
+from orchestrator.base.extras import require
 from orchestrator.base.files import Location, temporary_folder, write_whole, zip_bytes
 from orchestrator.base.interrupts import POLL_INTERVAL, DeferredInterrupts
 from orchestrator.data.table import Array
@@ -30,33 +32,86 @@ from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Ended, Group, Lanes, Status
 from orchestrator.ssp.system import Port, System
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
+Given = TypeVar("Given", contravariant=True)
+Found = TypeVar("Found", covariant=True)
 BY_USER = Ended(Status.INTERRUPTED, "by the user")
 
 
+class ClusterLost(Problem):
+    """The scheduler of a cluster cannot be reached any more, or it has no workers; what is done is kept."""
+
+
+class Runner(Protocol[Given, Found]):
+    """Runs that are open here. Pickled, they are opened anew where they are unpickled.
+
+    compiled   some run in lanes, which a compiler makes
+    """
+
+    @property
+    def compiled(self) -> bool: ...
+
+    def run(self, task: Given, /) -> Found: ...
+
+    def lost(self, task: Given, reason: str, /) -> Found:
+        """The outcome of a task that cannot be run."""
+
+    def stop(self) -> None:
+        """End the tasks that run."""
+
+    def close(self) -> None: ...
+
+
+@contextmanager
+def connected(scheduler: str | None) -> Iterator[Client | None]:
+    """A connection to the Dask cluster of a scheduler, such as tcp://host:8786; None without one."""
+    if scheduler is None:
+        yield None
+        return
+    require("cluster", "--scheduler", "distributed")
+    from orchestrator.lanes import cluster
+
+    with cluster.client(scheduler) as client:
+        yield client
+
+
+def compiles(where: int | Client) -> bool:
+    """Can the runs be in lanes there, as far as that depends on the workers of a cluster?"""
+    if isinstance(where, int):
+        return True
+    from orchestrator.lanes import cluster
+
+    return cluster.compiles(where)
+
+
 def many(
-    run: Callable[[Task], Outcome],
+    runs: Runner[Task, Outcome],
     tasks: Sequence[Task],
     keep: Callable[[list[Outcome]], object],
-    stop: Callable[[], object],
-    workers: int,
+    where: int | Client,
     interval: float = 0.0,
 ) -> None:
-    """Run tasks in threads, with one more ready for each; the first exception, or an interrupt, ends all.
+    """Run tasks, several at once; the first exception, or an interrupt, ends all.
 
     keep       called with new outcomes, at intervals [s] and before an exception is raised
-    stop       ends the tasks that run, after an exception
-    workers    so many tasks run at once
+    where      a number of threads, with one more task ready for each, or the client of a Dask cluster
     interval   between two calls of `keep` [s]
     """
-    waiting, running, threads = deque(tasks), set[Future[Outcome]](), max(1, min(workers, len(tasks)))
+    if not isinstance(where, int):
+        from orchestrator.lanes import cluster
+
+        return cluster.many(runs, tasks, keep, where, interval)
+    waiting, running, threads = deque(tasks), set[Future[Outcome]](), max(1, min(where, len(tasks)))
     found, kept = list[Outcome](), -interval
     with DeferredInterrupts() as interrupts, ThreadPoolExecutor(threads) as executor:
         try:
             while waiting or running:
                 for _ in range(min(2 * threads - len(running), len(waiting))):
-                    running.add(executor.submit(run, waiting.popleft()))
+                    running.add(executor.submit(runs.run, waiting.popleft()))
                 ended = wait(running, POLL_INTERVAL, FIRST_COMPLETED).done
                 running -= ended
                 for future in sorted(ended, key=_has_failed):  # an outcome is kept before an exception
@@ -66,13 +121,14 @@ def many(
                     keep(new)
                 interrupts.check()
         except BaseException:
-            stop()
+            runs.stop()
             for future in running:
                 future.cancel()
             raise
         finally:
             if found:
                 keep(found)
+    return None
 
 
 def _has_failed(future: Future[Any]) -> bool:

@@ -12,18 +12,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
-from orchestrator.base.errors import Stopped
+from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.processes import available_cores
 from orchestrator.base.progress import Doing
 from orchestrator.lanes.group import Status
-from orchestrator.lanes.many import many
+from orchestrator.lanes.many import ClusterLost, compiles, connected, many
 from orchestrator.studies import store
 from orchestrator.studies.runs import STORE_TIME, PreparedStudy, RunOutcome, StudyRuns, prepare
 from orchestrator.studies.study import Study, read
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 FOLDER = Path("build/sweeps")
 
@@ -36,6 +39,8 @@ def sweep(
     folder: str | Path | None = None,
     *,
     workers: int | None = None,
+    scheduler: str | None = None,
+    client: Client | None = None,
     fresh: bool = False,
     watch: Watch | None = None,
 ) -> store.Results:
@@ -43,25 +48,33 @@ def sweep(
 
     study      a study or the path of its TOML file
     folder     folder of the results; default: build/sweeps/ and the name of the file or the title
-    workers    number of parallel runs; default: one per core
+    workers    number of parallel runs on this computer; default: one per core
+    scheduler  address of a Dask cluster for the runs, such as tcp://host:8786
+    client     a connection to a Dask cluster for the runs; it stays open
     fresh      delete the results of a study in the folder
     watch      called before the first run and after each batch: all, finished runs, outcomes of the batch
     """
     study = study if isinstance(study, Study) else read(study)
     folder = Path(folder) if folder else FOLDER / (Path(study.source).stem or study.title or "study")
     prepared = prepare(study)
-    with store.locked(folder):
+    with ExitStack() as stack:
+        if not client and (fresh or not store.finished(folder)):
+            # connect first: if no scheduler answers, nothing is written or deleted
+            client = stack.enter_context(connected(scheduler))
+        stack.enter_context(store.locked(folder))
         if fresh:
             store.clear(folder)
         results = store.Store(folder, prepared)
         results.forget_stopped()
         if not store.finished(folder):
-            _run_missing(prepared, results, workers or available_cores(), watch or (lambda *_: None))
+            _run_missing(
+                prepared, results, client or workers or available_cores(), watch or (lambda *_: None)
+            )
             results.finish()
         return store.read(folder)
 
 
-def _run_missing(prepared: PreparedStudy, results: store.Store, workers: int, watch: Watch) -> None:
+def _run_missing(prepared: PreparedStudy, results: store.Store, where: int | Client, watch: Watch) -> None:
     """Run the samples without stored results."""
     done, total = results.done(), len(prepared.samples)
     count = len(done)
@@ -78,12 +91,13 @@ def _run_missing(prepared: PreparedStudy, results: store.Store, workers: int, wa
 
     try:
         with closing(StudyRuns(prepared)) as runs:
-            units = runs.units(prepared.samples)
+            units = runs.units(prepared.samples, compiles(where))
             missing = [unit for unit in units if any(sample.run not in done for sample in unit)]
-            many(runs.run, missing, keep, runs.stop, workers, STORE_TIME)
-    except KeyboardInterrupt:
+            many(runs, missing, keep, where, STORE_TIME)
+    except (KeyboardInterrupt, ClusterLost) as end:
         stored = f"{len(results.done())} of {total} runs are stored in {results.folder}"
-        raise Stopped(f"{stored}; the same command continues the study") from None
+        line = f"{stored}; the same command continues the study"
+        raise (Problem(f"{end}; {line}") if isinstance(end, ClusterLost) else Stopped(line)) from None
 
 
 # ---- the command line

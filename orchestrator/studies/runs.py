@@ -6,11 +6,12 @@ A crash of an FMU ends only its own run.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -92,7 +93,9 @@ def limit_is_raised(reason: str, study: Study) -> bool:
 class StudyRuns:
     """The runs of a study on this computer: each in a process of its own, or several in lanes."""
 
-    def __init__(self, prepared: PreparedStudy) -> None:
+    def __init__(self, prepared: PreparedStudy, in_lanes: Iterable[Options] = ()) -> None:
+        """in_lanes: options whose runs are in lanes here, because they are so where the study was started."""
+        self._prepared = prepared
         self._study, limits = prepared.study, limits_of(prepared.study)
         self._runs = Runs([job.system for job in prepared.cases.values()], prepared.archives)
         pairs = zip(prepared.cases.items(), self._runs.systems, strict=True)
@@ -100,23 +103,46 @@ class StudyRuns:
             options: replace(job, system=system, options={**job.options, **limits})
             for (options, job), system in pairs
         }
-        self._lanes = dict[Options, Lanes]()
         self.stop, self.close = self._runs.stop, self._runs.close
+        try:
+            self._lanes = {options: self._lanes_of(options, generated=True) for options in in_lanes}
+        except BaseException:
+            self.close()
+            raise
 
-    def units(self, samples: Sequence[Sample]) -> list[Unit]:
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Opened anew, without the samples."""
+        prepared = replace(self._prepared, table=self._prepared.table[:0], samples=())
+        return StudyRuns, (prepared, tuple(self._lanes))
+
+    @property
+    def compiled(self) -> bool:
+        """Are some in lanes?"""
+        return bool(self._lanes)
+
+    def units(self, samples: Sequence[Sample], lanes: bool = True) -> list[Unit]:
         """The samples that are run together: where possible groups in lanes, of samples with equal options.
 
-        The groups do not depend on which samples have results already, so neither do the results.
+        The groups do not depend on which samples have results already, nor on the workers of a cluster, so
+        neither do the results. lanes: False if such a worker has no compiler.
         """
         units = list[Unit]()
         for options, some in grouped(samples, attrgetter("options")).items():
-            together, job = 1, self._jobs[options]
-            if len(some) >= LANES:  # fewer are not worth a compilation
+            together = 1
+            if lanes and len(some) >= LANES:  # fewer are not worth a compilation
                 with suppress(Problem):
-                    self._lanes[options] = Lanes(job, [job.system.port(n) for n in job.signals or ()])
+                    self._lanes[options] = self._lanes_of(options)
                     together = LANES
             units += [tuple(some[i : i + together]) for i in range(0, len(some), together)]
         return sorted(units, key=lambda unit: unit[0].run)
+
+    def _lanes_of(self, options: Options, generated: bool = False) -> Lanes:
+        job = self._jobs[options]
+        return Lanes(job, [job.system.port(n) for n in job.signals or ()], generated)
+
+    def lost(self, unit: Unit, reason: str) -> list[RunOutcome]:
+        """Outcomes of samples that cannot be run."""
+        return [failed(self._study, sample.run, reason) for sample in unit]
 
     def run(self, unit: Unit) -> list[RunOutcome]:
         """Run samples with equal options, several in lanes. One that fails there is run again by itself."""

@@ -43,6 +43,7 @@ OTHERS: dict[str, object] = {
     "Linux": sys.platform == "linux",
     "POSIX": os.name == "posix",
     "x86-64": platform.machine() in ("x86_64", "AMD64"),
+    "openssl": program("openssl"),
     "make and cc": program("make") and program("cc"),
     "OpenModelica": program("omc"),
     "Reference-FMUs": REFERENCE_FMUS.is_dir(),

@@ -1,5 +1,7 @@
 """`many`: what has ended is kept, whatever ends the rest."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from orchestrator.lanes.many import many
@@ -15,7 +17,8 @@ def square(task):
 def test_outcomes_before_an_exception_are_kept(interval):
     """Also those that wait for the next interval; the tasks that run are told to stop, once."""
     kept, stops = [], []
+    runs = SimpleNamespace(run=square, stop=lambda: stops.append(1))
     with pytest.raises(ValueError, match="3"):
-        many(square, range(4), kept.extend, lambda: stops.append(1), 1, interval)
+        many(runs, range(4), kept.extend, 1, interval)
     assert sorted(kept) == [0, 1, 4]
     assert stops == [1]

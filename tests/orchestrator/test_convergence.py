@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from orchestrator.studies.convergence.convergence_report import (
     error_table,
     failures,
     figure,
+    report,
 )
 from orchestrator.studies.convergence.convergence_study import (
     SETTINGS,
@@ -258,3 +260,22 @@ def test_figures_label_every_curve(moving):
             assert (UNSTABLE in named) is not over_cost
     axes = draw(figure(found)).axes
     assert [text.get_text() for text in axes[-1].get_xticklabels()][:2] == ["5", "10"]
+
+
+def test_runs_on_a_cluster_have_the_same_errors_and_no_times(moving, truth):
+    """In the order of the plans, refused settings among them; the report has no costs."""
+    from distributed import Client
+
+    chosen = choose(["jacobi order 1", "hermite", "interface-jacobian"])
+    here = run_settings(moving, truth, chosen, (5e-3, 1e-2), 1, stop=1.0)
+    with Client(
+        processes=False, n_workers=1, threads_per_worker=2, dashboard_address="127.0.0.1:0"
+    ) as client:
+        there = run_settings(moving, truth, chosen, (5e-3, 1e-2), client=client, stop=1.0)
+    for one, other in zip(here, there, strict=True):
+        plain = [replace(run, walls=(), errors=None) for run in (one, other)]
+        assert plain[0] == plain[1]
+        assert [row.metrics for row in one.rows] == [row.metrics for row in other.rows]
+    assert not any(run.walls for run in there)
+    assert "wall time per simulated second" in report(ConvergenceStudy(truth, tuple(here))).text()
+    assert "wall time" not in report(ConvergenceStudy(truth, tuple(there))).text()

@@ -35,8 +35,9 @@ def report(study: ConvergenceStudy) -> Report:
     failed, groups = failures(study), study.groups
     verdict = f"{len(study.runs)} runs against {study.reference.heading}; not stable: {len(failed)} settings"
     cost = table(study, "wall time per simulated second [ms]", lambda run: f"{1e3 * run.cost:.2g}")
-    found = [*(error_table(study, group) for group in groups), cost]
-    drawn = {"Error over step": False, "Error over wall time": True}
+    timed = any(run.walls for run in study.runs)
+    found = [*(error_table(study, group) for group in groups), *([cost] if timed else [])]
+    drawn = {"Error over step": False, **({"Error over wall time": True} if timed else {})}
     made = {name: figure(study, over_cost=cost) for name, cost in drawn.items()}
     figures = [Figure(f, name, heading=name) for name, f in made.items() if any(p.lines for p in f.panels)]
     data = {

@@ -7,7 +7,7 @@ a good master.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -15,13 +15,13 @@ from itertools import combinations
 from math import isfinite, log
 from pathlib import Path
 from statistics import median
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
-from orchestrator.base.files import make_folder, require_system
+from orchestrator.base.files import Location, make_folder, require_system
 from orchestrator.base.options import checked, seconds, taken
 from orchestrator.base.progress import doing
 from orchestrator.base.signals import matching, span
@@ -36,7 +36,7 @@ from orchestrator.engine.result import widest_of_unit
 from orchestrator.engine.run import run
 from orchestrator.engine.scenario import ScenarioSource, read_scenario
 from orchestrator.lanes.group import Status
-from orchestrator.lanes.many import Runs, many
+from orchestrator.lanes.many import Runs, archives_of, many
 from orchestrator.results.metrics import AT_REST
 from orchestrator.results.validate_system import another_model
 from orchestrator.results.validation import ValidatedSignal, Validation, validate
@@ -45,6 +45,9 @@ from orchestrator.ssp.load import configured
 from orchestrator.ssp.masters import MASTERS
 from orchestrator.ssp.swap import used_ports
 from orchestrator.ssp.system import System
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 UNSTABLE_ERROR = 1.0  # relative to the range of a signal: a run with a larger error is unstable
 ROUNDING = 1e-12  # NRMSE below which rounding errors hide the order of convergence
@@ -337,6 +340,58 @@ def milliseconds(step: float) -> str:
     return f"{1e3 * step:g} ms"
 
 
+class SettingRuns:
+    """The runs of settings on this computer, one task for each, which is its index.
+
+    plans      the runs, without results
+    jobs       of the plans, all of a system
+    repeats    see `run_settings`
+    archives   see `archives_of`
+    """
+
+    compiled = False
+
+    def __init__(
+        self,
+        system: System,
+        reference: Recording,
+        plans: Sequence[SettingRun],
+        jobs: Sequence[Job],
+        repeats: int,
+        archives: Mapping[Location, bytes] | None = None,
+    ) -> None:
+        self._given = system, reference, plans, jobs, repeats
+        self._runs = Runs([system], archives)
+        self.stop, self.close = self._runs.stop, self._runs.close
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Opened anew, with the FMUs as bytes."""
+        return SettingRuns, (*self._given, archives_of([self._given[0]]))
+
+    def lost(self, index: int, reason: str) -> SettingRun:
+        """A run that cannot take place."""
+        return replace(self._given[2][index], failure=reason)
+
+    def run(self, index: int) -> SettingRun:
+        """A run, repeated for its wall time if it was stable."""
+        _, reference, plans, jobs, repeats = self._given
+        plan, job = plans[index], replace(jobs[index], system=self._runs.copied(jobs[index].system))
+        result, end = self._runs.alone(job)
+        failure = end.reason if end and (result is None or end.status == Status.FAILED) else ""
+        if result is None:
+            return replace(plan, refusal=failure)
+        card = result.card
+        ended = replace(plan, steps=card.steps, simulated=card.simulated, failure=failure)
+        if not failure:
+            try:
+                ended = replace(ended, errors=_errors(result.trace, reference, plan.step))
+            except Problem as problem:  # values beyond all bounds
+                ended = replace(ended, failure=str(problem))
+        again = (self._runs.alone(job)[0] for _ in range(repeats - 1 if ended.stable else 0))
+        walls = (card.wall, *(other.card.wall for other in again if other))
+        return replace(ended, walls=walls if repeats else ())
+
+
 def run_settings(
     system: System,
     reference: Recording,
@@ -346,6 +401,7 @@ def run_settings(
     rates: Sequence[str] | None = None,
     scenario: ScenarioSource = None,
     done: list[SettingRun] | None = None,
+    client: Client | None = None,
     **options: Unpack[CaseArguments],
 ) -> list[SettingRun]:
     """Run every setting at every step, one after the other, so that their times can be compared.
@@ -353,6 +409,7 @@ def run_settings(
     repeats  how often a stable run is repeated; its wall time is the median
     rates    inputs whose connections a plain setting leaves out; default: those of rate ports
     done     gets the runs as they end
+    client   a connection to a Dask cluster for the runs, which are not timed: `repeats` has no effect
     options  of `run`: what is run, such as start, stop
 
     A plain setting without such inputs would equal that of order 0, and is left out.
@@ -367,36 +424,33 @@ def run_settings(
     done, scenario = [] if done is None else done, read_scenario(scenario)
     chosen = [setting for setting in settings if rates or not setting.without_rates]
     plans = [SettingRun(s, step) for s in chosen for step in sorted(steps)[: 1 if s.adaptive else None]]
-    with doing("the first run") as line, closing(Runs([system])) as runs:
 
-        def one(plan: SettingRun) -> SettingRun:
-            """A run, repeated for its wall time if it was stable."""
-            setting, step = plan.setting, plan.step
-            line.update(f"{len(done)} of {len(plans)}  {setting.label}, {milliseconds(step)}")
-            record_step = _adaptive_record_step(reference, start) if setting.adaptive else step
-            own = {"master": setting.coupling, "step": step, "record_step": record_step}
+    def job(plan: SettingRun) -> Job:
+        setting, step = plan.setting, plan.step
+        record_step = _adaptive_record_step(reference, start) if setting.adaptive else step
+        own = {"master": setting.coupling, "step": step, "record_step": record_step}
+        return Job.of(system.without(*rates) if setting.without_rates else system, scenario, given | own)
+
+    with doing("the first run") as line:
+        jobs, able = list[Job](), list[SettingRun]()
+        for plan in plans:
             try:
-                job = Job.of(
-                    system.without(*rates) if setting.without_rates else system, scenario, given | own
-                )
+                jobs.append(job(plan))
+                able.append(plan)
             except Problem as problem:
-                return replace(plan, refusal=str(problem))
-            job = replace(job, system=runs.copied(job.system))
-            result, end = runs.alone(job)
-            failure = end.reason if end and (result is None or end.status == Status.FAILED) else ""
-            if result is None:
-                return replace(plan, refusal=failure)
-            card = result.card
-            ended = replace(plan, steps=card.steps, simulated=card.simulated, failure=failure)
-            if not failure:
-                try:
-                    ended = replace(ended, errors=_errors(result.trace, reference, step))
-                except Problem as problem:  # values beyond all bounds
-                    ended = replace(ended, failure=str(problem))
-            again = (runs.alone(job)[0] for _ in range(repeats - 1 if ended.stable else 0))
-            return replace(ended, walls=(card.wall, *(other.card.wall for other in again if other)))
+                done.append(replace(plan, refusal=str(problem)))
 
-        many(one, plans, done.extend, runs.stop, workers=1)
+        def keep(found: list[SettingRun]) -> None:
+            done.extend(found)
+            last = found[-1]
+            line.update(f"{len(done)} of {len(plans)}  {last.setting.label}, {milliseconds(last.step)}")
+
+        with closing(SettingRuns(system, reference, able, jobs, 0 if client else repeats)) as runs:
+            try:
+                many(runs, range(len(able)), keep, client or 1)
+            finally:
+                order = {(plan.setting.label, plan.step): i for i, plan in enumerate(plans)}
+                done.sort(key=lambda run: order[run.setting.label, run.step])
     if done and all(run.refusal for run in done):  # the user's mistake, not a limit of the FMUs
         raise Problem(done[0].refusal)
     return done
@@ -416,6 +470,7 @@ def convergence(
     default_reference: Path | None = None,
     scenario: Path | None = None,
     tell: Callable[[str], object] = print,
+    client: Client | None = None,
     **options: Unpack[CaseArguments],
 ) -> ConvergenceStudy:
     """Run a study, tell its tables and write its files to `out`; also what an interrupted one has finished.
@@ -423,6 +478,7 @@ def convergence(
     steps              times [s], the smallest first
     masters            as of `choose`
     default_reference  used if no reference is given, and if it fits this system and this run
+    client             a connection to a Dask cluster for the runs, which are not timed then
     options            of `run`
     """
     from orchestrator.studies.convergence.convergence_report import report, write
@@ -450,7 +506,7 @@ def convergence(
     plain = rates and any(setting.without_rates for setting in settings)
     plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}" if plain else ""
     try:
-        run_settings(coupled, solution, settings, steps, repeats, rates, scenario, runs, **given)
+        run_settings(coupled, solution, settings, steps, repeats, rates, scenario, runs, client, **given)
     finally:
         resting = f"{RESTING}: {solution.metadata[RESTING]}" if RESTING in solution.metadata else ""
         study = ConvergenceStudy(solution, tuple(runs), tuple(filter(None, (note, resting, plain_note))))
