@@ -34,7 +34,19 @@ from orchestrator.pages.figures import PALETTE, REFERENCE, SIMULATION, TraceFigu
 from orchestrator.pages.html_page import breakable, upper_first
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.metrics import GIVEN
-from orchestrator.results.report import TERMINAL, Facts, Figure, Machine, Part, Report, Section, Table, Text
+from orchestrator.results.rating import PARTS
+from orchestrator.results.report import (
+    PAGE,
+    TERMINAL,
+    Facts,
+    Figure,
+    Machine,
+    Part,
+    Report,
+    Section,
+    Table,
+    Text,
+)
 from orchestrator.results.validation import ValidatedSignal, Validation
 
 NAMES = {
@@ -44,6 +56,7 @@ NAMES = {
     "maximum_relative": "max. relative error",
     "fit": "fit",
     "vaf": "VAF",
+    "iso18571": "ISO/TS 18571 rating",
 }
 ALMOST = 99.99  # [%]
 MISSED = 20  # signals outside their limits that are listed
@@ -92,10 +105,12 @@ def validation_report(
     parts: list[Part] = [
         Text(_summary(validation), only=TERMINAL),
         _numbers(validation),
+        ratings({row.signal: row for row in validation.rows}, only=TERMINAL),
         *_worst(validation, trace),
         Machine(machine),
         Section("Warnings of the run", [Text(run["warnings"], "warn")]),
         *(Section(name, [figure]) for name, figure in drawn),
+        Section("Ratings", [ratings({row.signal: row for row in validation.rows}, only=PAGE)]),
         Section("Signals", [Table(_signals(validation)), Text([METRICS], "soft")], folded=True),
         Section("Run", [Facts(run["facts"]), card, Text(run["notes"], "soft")], folded=True),
         Section("FMUs", [_components(run["components"])], folded=True),
@@ -123,6 +138,7 @@ def _data(row: ValidatedSignal) -> dict[str, Any]:
     """A signal for programs, in SI units or its declared unit."""
     metrics = asdict(row.metrics)
     metrics.pop("notes")
+    metrics |= {"iso18571": rating_data(row)}
     return {
         **{name: getattr(row, name) for name in ("signal", "label", "group", "unit")},
         "samples": len(row.time),
@@ -131,6 +147,24 @@ def _data(row: ValidatedSignal) -> dict[str, Any]:
         "passed": row.passed,
         "notes": row.notes,
     }
+
+
+def rating_data(row: ValidatedSignal) -> dict[str, Any] | None:
+    """The rating of ISO/TS 18571 with its grade; None if it was not asked for."""
+    rating = row.metrics.iso18571
+    return {**asdict(rating), "grade": rating.grade} if rating else None
+
+
+def ratings(rows: Mapping[str, ValidatedSignal], title: str = "", only: str = "") -> Table:
+    """Table of the signals that were rated by ISO/TS 18571, by name, and why others have no rating."""
+    rated = {name: rating for name, row in rows.items() if (rating := row.metrics.iso18571)}
+    cells = [
+        [name, *(NO_VALUE if (v := getattr(r, p)) is None else f"{v:.3f}" for p in PARTS), r.grade]
+        for name, r in rated.items()
+    ]
+    head = [title or "ISO/TS 18571", *PARTS, "grade"]
+    below = [f"{name} is not rated: {r.reason}" for name, r in rated.items() if r.reason]
+    return Table(TextTable(head, cells), below, only)
 
 
 # ---- parts of the page
@@ -241,7 +275,8 @@ def judged_text(row: ValidatedSignal, value: float | None) -> str:
         return error_display_unit(row.unit).ascii(value)
     if row.tolerance.metric in ("nrmse", "maximum_relative"):
         return percentage(value)
-    return f"{math.floor(1e4 * value + 1e-6) / 1e4:g} %"  # fit or VAF, rounded down
+    rounded = f"{math.floor(1e4 * value + 1e-6) / 1e4:g}"  # a rating, fit or VAF, rounded down
+    return rounded if row.tolerance.metric == "iso18571" else f"{rounded} %"
 
 
 def limit_text(row: ValidatedSignal) -> str:
@@ -266,7 +301,8 @@ def miss_text(row: ValidatedSignal) -> str:
     metric, allowed, value = NAMES[row.tolerance.metric], row.tolerance.limit, row.judged_value
     limits = f"limit {judged_text(row, allowed)}"
     if value is None:
-        reason = "; ".join(row.notes)
+        rating = row.metrics.iso18571
+        reason = rating.reason if rating else "; ".join(row.notes)
         return f"no {metric}, {limits}" + (f" ({reason})" if reason else "")
     if not row.tolerance.upper:
         return f"{metric} {judged_text(row, value)}, {limits} ({judged_text(row, allowed - value)} short)"
