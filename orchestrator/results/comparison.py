@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.extras import require
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.signals import selected, span
 from orchestrator.base.text import brief, first_names
@@ -21,7 +22,8 @@ from orchestrator.data.trace import Trace, inside
 from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_run
 from orchestrator.fmi.description import Value
 from orchestrator.results.metrics import AT_REST, HARDLY_MOVES
-from orchestrator.results.validation import ValidatedSignal, Validation, rated, validate
+from orchestrator.results.rating import RATING
+from orchestrator.results.validation import ValidatedSignal, Validation, validate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -245,6 +247,8 @@ def compare(
     rate         whether to rate the signals to show by ISO/TS 18571
     """
     signals = (signals,) if isinstance(signals, str) else tuple(signals)
+    if rate:
+        require("rating", RATING)
     runs = gather(sources, against)
     requested = str(against) if isinstance(sources, Mapping) else str(Path(against or ""))
     named = (run for run in runs if requested in (run.label, run.file))
@@ -254,7 +258,7 @@ def compare(
     common = _common(runs, reference)
     recording = _as_recording(reference, common, seconds(start, "start"), seconds(stop, "stop"))
     chosen = _chosen(runs, common, signals)
-    to_rate = rated(recording, chosen if rate else ())
+    to_rate = chosen if rate else ()
     validations = {run.label: _validate(recording, run, to_rate) for run in runs if run is not reference}
     return Comparison(
         tuple(runs),

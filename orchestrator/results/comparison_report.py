@@ -39,7 +39,7 @@ from orchestrator.results.comparison import (
 from orchestrator.results.metrics import AT_REST, HARDLY_MOVES
 from orchestrator.results.report import PAGE, TERMINAL, Figure, Part, Report, Section, Table, Text
 from orchestrator.results.validation import ValidatedSignal
-from orchestrator.results.validation_report import rating_data, ratings
+from orchestrator.results.validation_report import RATED, rating_data, ratings
 from orchestrator.ssp.provenance import value_text
 
 SIDE_BY_SIDE = 3  # runs in a table of signals
@@ -113,8 +113,7 @@ def tables(comparison: Comparison) -> Iterator[Table]:
         yield Table(_worst(comparison, label))
     yield from map(Table, _signals(comparison))
     for label, validation in comparison.against.items():
-        title = f"ISO/TS 18571: {label} against {comparison.reference.label}"
-        yield ratings({row.signal: row for row in validation.rows}, title)
+        yield ratings(validation.rows, f"{RATED}, {label}")
 
 
 def worst_tables(comparison: Comparison) -> Iterator[TextTable]:

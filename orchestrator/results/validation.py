@@ -26,6 +26,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import LARGEST_ROUNDING, Data, Trace, as_trace, inside, rounding
 from orchestrator.engine.result import Result, metadata, read_run
 from orchestrator.results.metrics import AT_REST, Metrics, measure
+from orchestrator.results.rating import RATING
 
 
 def by_variable(trace: Trace, requested: Iterable[str]) -> Trace:
@@ -202,14 +203,14 @@ def validate(
     )
 
 
-def rated(reference: Recording, rate: bool | Collection[str] = False) -> Collection[str]:
+def rated(reference: Recording, rate: bool | Collection[str]) -> Collection[str]:
     """The signals that `validate` rates by ISO/TS 18571; raises Problem without the package for it."""
     limits = ((name, reference.criterion(name).tolerance) for name in reference.signals)
     limited = {name for name, limit in limits if limit is not None and limit.metric == "iso18571"}
     if isinstance(rate, bool):
         rate = reference.signals.keys() - reference.unlisted if rate else ()
     if names := limited.union(rate):
-        require("rating", "the rating of ISO/TS 18571")
+        require("rating", RATING)
     return names
 
 

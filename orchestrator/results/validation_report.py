@@ -36,7 +36,6 @@ from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.metrics import GIVEN
 from orchestrator.results.rating import PARTS
 from orchestrator.results.report import (
-    PAGE,
     TERMINAL,
     Facts,
     Figure,
@@ -56,7 +55,7 @@ NAMES = {
     "maximum_relative": "max. relative error",
     "fit": "fit",
     "vaf": "VAF",
-    "iso18571": "ISO/TS 18571 rating",
+    "iso18571": (RATED := "ISO/TS 18571"),
 }
 ALMOST = 99.99  # [%]
 MISSED = 20  # signals outside their limits that are listed
@@ -105,12 +104,11 @@ def validation_report(
     parts: list[Part] = [
         Text(_summary(validation), only=TERMINAL),
         _numbers(validation),
-        ratings({row.signal: row for row in validation.rows}, only=TERMINAL),
         *_worst(validation, trace),
+        ratings(validation.rows, RATED),
         Machine(machine),
         Section("Warnings of the run", [Text(run["warnings"], "warn")]),
         *(Section(name, [figure]) for name, figure in drawn),
-        Section("Ratings", [ratings({row.signal: row for row in validation.rows}, only=PAGE)]),
         Section("Signals", [Table(_signals(validation)), Text([METRICS], "soft")], folded=True),
         Section("Run", [Facts(run["facts"]), card, Text(run["notes"], "soft")], folded=True),
         Section("FMUs", [_components(run["components"])], folded=True),
@@ -155,16 +153,16 @@ def rating_data(row: ValidatedSignal) -> dict[str, Any] | None:
     return {**asdict(rating), "grade": rating.grade} if rating else None
 
 
-def ratings(rows: Mapping[str, ValidatedSignal], title: str = "", only: str = "") -> Table:
-    """Table of the signals that were rated by ISO/TS 18571, by name, and why others have no rating."""
-    rated = {name: rating for name, row in rows.items() if (rating := row.metrics.iso18571)}
-    cells = [
-        [name, *(NO_VALUE if (v := getattr(r, p)) is None else f"{v:.3f}" for p in PARTS), r.grade]
-        for name, r in rated.items()
-    ]
-    head = [title or "ISO/TS 18571", *PARTS, "grade"]
-    below = [f"{name} is not rated: {r.reason}" for name, r in rated.items() if r.reason]
-    return Table(TextTable(head, cells), below, only)
+def ratings(rows: Iterable[ValidatedSignal], title: str) -> Table:
+    """Table of the signals that were rated by ISO/TS 18571, and why some of them have no rating."""
+    cells, below = list[list[str]](), list[str]()
+    for row in rows:
+        if rating := row.metrics.iso18571:
+            values = (getattr(rating, part) for part in PARTS)
+            numbers = [NO_VALUE if value is None else f"{value:.3f}" for value in values]
+            cells.append([row.signal, *numbers, rating.grade])
+            below += [f"{row.signal}: {rating.grade}, {rating.reason}"] if rating.reason else []
+    return Table(TextTable([title, *PARTS, "grade"], cells, left=(0, len(PARTS) + 1)), below)
 
 
 # ---- parts of the page
