@@ -16,7 +16,7 @@ RELEASING := .venv/.have-release
 # With stored byte code every command starts 0.3 to 4 s sooner; the tests start hundreds of commands.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage mutants \
+.PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-indices bench-sweep bench-peers bench-live coverage mutants \
   docs pages clean release constraints extras test-lowest test-newest audit
 
 # with all extras, for the commands in README.md. FMI 2.0, and the whole machine in FMI 3.0, which the report
@@ -62,6 +62,10 @@ bench: $(EVERYTHING)
 bench-sensitivities: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.sensitivities
 	$(BIN)/python -m benchmarks.starts
+
+# sensitivity indices of a million runs
+bench-indices: $(EVERYTHING)
+	$(BIN)/python -m benchmarks.indices $(ARGS)
 
 bench-live: $(TESTING)
 	test -f build/harvester.ssp || $(BIN)/harvester build

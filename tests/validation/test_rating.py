@@ -180,7 +180,7 @@ def test_the_examples_that_the_authors_publish() -> None:
 
 @shards.machine
 def test_each_part_tells_what_is_wrong() -> None:
-    """A delay costs phase, a wrong gain magnitude; half way to the outer corridor a sample counts a quarter."""
+    """A delay costs phase, a wrong gain magnitude; an offset half way to the outer corridor 3/4 of it."""
     n, steps = SAMPLES, 50
     whole = np.linspace(0.0, 9.0, n + steps)
     signal = np.sin(whole) * np.linspace(1.0, 2.0, n + steps)
