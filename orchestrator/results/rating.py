@@ -24,31 +24,25 @@ GRADES = ((0.94, "excellent"), (0.80, "good"), (0.58, "fair"))  # above
 
 @dataclass(frozen=True)
 class Rating:
-    """Overall rating and its parts; all None if there is none, with the reason."""
+    """Overall rating, its parts and its grade; all None, and a reason, if there is none."""
 
-    reason: str = ""
     overall: float | None = None
     corridor: float | None = None
     phase: float | None = None
     magnitude: float | None = None
     slope: float | None = None
-
-    @property
-    def grade(self) -> str:
-        """Grade of the overall rating in the standard."""
-        if (rating := self.overall) is None:
-            return "not rated"
-        return next((grade for limit, grade in GRADES if rating > limit), "poor")
+    grade: str = "not rated"
+    reason: str = ""
 
 
 def rate(time: Array, simulation: Array, reference: Array) -> Rating:
     """Rating of a simulation, shape (n,) each, at equal steps of its time; or why there is none."""
     if not moves(reference):
-        return Rating("the reference is constant")
+        return Rating(reason="the reference is constant")
     if len(time) < FEWEST:
-        return Rating(f"{len(time)} samples are fewer than {FEWEST}")
+        return Rating(reason=f"{len(time)} samples are fewer than {FEWEST}")
     if np.array_equal(simulation, reference):
-        return Rating("", *[1.0] * len(PARTS))
+        return Rating(1.0, 1.0, 1.0, 1.0, 1.0, "excellent")
     from objective_rating_metrics.rating import ISO18571  # compiles for 10 s in each process
 
     even = np.linspace(time[0], time[-1], SAMPLES)
@@ -57,5 +51,7 @@ def rate(time: Array, simulation: Array, reference: Array) -> Rating:
         rated = ISO18571(*curves, dt=even[1] - even[0])
         parts = [float(getattr(rated, f"{part}_rating")(-1)) for part in PARTS]
     if not np.isfinite(parts).all():
-        return Rating("the shifted reference is constant, its slope cannot be rated")
-    return Rating("", *parts)
+        return Rating(reason="the shifted reference is constant, its slope cannot be rated")
+    overall, corridor, phase, magnitude, slope = parts
+    grade = next((grade for limit, grade in GRADES if overall > limit), "poor")
+    return Rating(overall, corridor, phase, magnitude, slope, grade)

@@ -35,17 +35,7 @@ from orchestrator.pages.html_page import breakable, upper_first
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.metrics import GIVEN
 from orchestrator.results.rating import PARTS
-from orchestrator.results.report import (
-    TERMINAL,
-    Facts,
-    Figure,
-    Machine,
-    Part,
-    Report,
-    Section,
-    Table,
-    Text,
-)
+from orchestrator.results.report import TERMINAL, Facts, Figure, Machine, Part, Report, Section, Table, Text
 from orchestrator.results.validation import ValidatedSignal, Validation
 
 NAMES = {
@@ -136,7 +126,6 @@ def _data(row: ValidatedSignal) -> dict[str, Any]:
     """A signal for programs, in SI units or its declared unit."""
     metrics = asdict(row.metrics)
     metrics.pop("notes")
-    metrics |= {"iso18571": rating_data(row)}
     return {
         **{name: getattr(row, name) for name in ("signal", "label", "group", "unit")},
         "samples": len(row.time),
@@ -145,12 +134,6 @@ def _data(row: ValidatedSignal) -> dict[str, Any]:
         "passed": row.passed,
         "notes": row.notes,
     }
-
-
-def rating_data(row: ValidatedSignal) -> dict[str, Any] | None:
-    """The rating of ISO/TS 18571 with its grade; None if it was not asked for."""
-    rating = row.metrics.iso18571
-    return {**asdict(rating), "grade": rating.grade} if rating else None
 
 
 def ratings(rows: Iterable[ValidatedSignal], title: str) -> Table:

@@ -1,7 +1,7 @@
 """The rating of ISO/TS 18571, only where it is asked for; its numbers are those that its authors publish."""
 
 import sys
-from dataclasses import astuple, replace
+from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -24,7 +24,7 @@ from orchestrator.results.validation_report import validation_report
 
 PACKAGE = "objective_rating_metrics"
 TIME = np.linspace(0.0, 4.0, 400)
-FOUND = Rating("", 0.7128, 0.7, 0.6, 0.9, 0.6643)
+FOUND = Rating(0.7128, 0.7, 0.6, 0.9, 0.6643, "fair")
 LIMIT = 'metric = "iso18571", limit = {}'
 
 
@@ -75,16 +75,17 @@ def test_curves_of_equal_steps_over_the_whole_time(fake: type[Fake]) -> None:
 
 def test_it_says_why_it_does_not_rate(fake: type[Fake], monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the standard has no meaning; equal curves need no package."""
-    assert rate(TIME, wave(), np.full(400, 3.0)) == Rating("the reference is constant")
+    assert rate(TIME, wave(), np.full(400, 3.0)) == Rating(reason="the reference is constant")
     few = slice(FEWEST - 1)
-    assert rate(TIME[few], wave(0.1)[few], wave()[few]) == Rating("29 samples are fewer than 30")
-    assert rate(TIME, wave(), wave()) == Rating("", 1, 1, 1, 1, 1)
+    assert rate(TIME[few], wave(0.1)[few], wave()[few]) == Rating(reason="29 samples are fewer than 30")
+    assert rate(TIME, wave(), wave()) == Rating(1, 1, 1, 1, 1, "excellent")
     assert fake.calls == 0
     monkeypatch.setattr(Fake, "rating", replace(FOUND, slope=np.nan))
     told = "the shifted reference is constant, its slope cannot be rated"
-    assert rate(TIME, wave(0.1), wave()) == Rating(told)
-    grades = {0.95: "excellent", 0.94: "good", 0.7: "fair", 0.58: "poor", None: "not rated"}
-    assert {value: Rating(overall=value).grade for value in grades} == grades
+    assert rate(TIME, wave(0.1), wave()) == Rating(reason=told)
+    for overall, grade in {0.95: "excellent", 0.94: "good", 0.7: "fair", 0.58: "poor"}.items():
+        monkeypatch.setattr(Fake, "rating", replace(FOUND, overall=overall))
+        assert rate(TIME, wave(0.1), wave()).grade == grade
 
 
 def test_nothing_is_rated_unasked(fake: type[Fake], outcome: Validation) -> None:
@@ -102,7 +103,7 @@ def test_all_parts_in_text_page_and_json(fake: type[Fake], written: Path, trace:
     still = {**reference.signals, "pump.pressure": np.full(len(reference.time), 1e7)}
     found = validation_report("", validate(trace, replace(reference, signals=still), rate=True))
     first, second = (signal["metrics"]["iso18571"] for signal in found.data["signals"])
-    assert first == {"reason": "", **dict(zip(PARTS, astuple(FOUND)[1:], strict=True)), "grade": "fair"}
+    assert first == asdict(FOUND)
     assert second == dict.fromkeys(PARTS) | {"reason": "the reference is constant", "grade": "not rated"}
     row = next(line for line in found.text().splitlines() if line.startswith("shaft.angle "))
     assert row.split() == ["shaft.angle", "0.713", "0.700", "0.600", "0.900", "0.664", "fair"]

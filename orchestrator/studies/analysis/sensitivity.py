@@ -1,10 +1,9 @@
 """Sensitivities from designs of Morris and Saltelli, a plain sample (Latin hypercube, Sobol' points), a grid.
 
-Elementary effects, Sobol' indices and those of RBD-FAST are computed by SALib, from the complete trajectories
-or base samples. It has no crossed choices: mu* and mu are means over their combinations, sigma is that of all
-effects together, total indices are of the samples of all combinations, and first-order indices of the mean
-over them. Intervals, but for RBD-FAST, are percentiles of our own resamples, in which a trajectory or base
-sample with all its combinations is one draw; SALib's follow from a standard deviation.
+SALib estimates, from complete trajectories or base samples. It has no crossed choices: mu* and mu are means
+over their combinations, sigma is that of all effects, total indices are of the samples of all combinations,
+first-order indices of the mean over them. Intervals, but for RBD-FAST, are percentiles of resamples in which
+a trajectory or base sample with all its combinations is one draw; SALib's follow from standard deviations.
 
 Elementary effects of a Morris design:
 
@@ -181,7 +180,7 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
 
 
 def _trajectory_intervals(design: OutputSamples) -> list[IntervalEstimate]:
-    """mu* of each factor with its interval: a trajectory with all combinations is one draw."""
+    """mu* of each factor with its interval."""
     x, y = (v.reshape(-1, len(design.names) + 1, v.shape[1]) for v in (design.x, design.y))
     moved, change = np.diff(x, axis=1) != 0, np.abs(np.diff(y, axis=1)).mean(axis=2)
     magnitudes = np.einsum("tsd,ts->td", moved, change) / STEP
@@ -269,10 +268,7 @@ def _columns(y: Array) -> tuple[Array, ...]:
 
 
 def from_sample(samples: OutputSamples, sequence: bool) -> Sensitivity | str:
-    """First-order effects of each factor and choice; a reason if there are too few samples.
-
-    sequence   whether the samples are Sobol' points, not a Latin hypercube
-    """
+    """First-order effects of factors and choices, or why not; `sequence`: from Sobol' points."""
     complete = samples.at(samples.complete)
     count, missing = len(complete.y), len(samples.y) - len(complete.y)
     coefficients = 1 + sum(len(d.options) - 1 if isinstance(d, Choice) else 1 for d in samples.dimensions)
@@ -309,9 +305,8 @@ def _effects(samples: OutputSamples, fast: bool, sequence: bool) -> tuple[list[E
     y = samples.y.mean(axis=1)
     fraction = float(y.var()) / float(samples.y.var())
     constant = fraction < 1e-12
-    first = [ZERO] * len(samples.names)
-    if fast and not constant:
-        first = _rbd_fast(samples, y, fraction, sequence)
+    estimated = fast and not constant
+    first = _rbd_fast(samples, y, fraction, sequence) if estimated else [ZERO] * len(samples.names)
     coefficients, fit = ({}, 0.0) if constant else linear_model(samples, y)
     directions = rank_correlations(samples, y)
     effects = []
@@ -357,10 +352,9 @@ def _coefficients(table: Array, rows: Rows) -> Array:
     """Standardised coefficients of the last column of these rows in the others; 0 for a constant column.
 
     table   shape (n, m): a column of ones, then columns with mean 0 and standard deviation 1
-
-    By second moments, part by part: a table of a million rows is read in the order of its rows.
     """
     times = np.bincount(rows, minlength=len(table))[:, None].astype(float)
+    # in the order of the table, whose rows at random would be slow to read
     parts = (slice(k, k + PART) for k in range(0, len(table), PART))
     moments = np.sum([table[p].T @ (times[p] * table[p]) for p in parts], axis=0) / len(rows)
     covariance = (moments - np.outer(moments[0], moments[0]))[1:, 1:]
