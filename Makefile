@@ -146,11 +146,11 @@ TESTS_NEED := pytest pytest-timeout pytest-xdist hypothesis httpx playwright
 # Licences of the installed packages, and known vulnerabilities of the versions in lock.txt; the latter
 # asks a database on the internet. Read by hand: casadi, asammdf and npTDMS LGPL-3.0 (libraries that are imported, unchanged),
 # docutils public domain with a few GPL files (of Sphinx, not loaded); without a declaration FMPy BSD-2-Clause,
-# cmeel-qhull Qhull, axe-playwright-python MIT (of tests)
+# cmeel-qhull Qhull, objective-rating-metrics MIT, axe-playwright-python MIT (of tests)
 PERMISSIVE := MIT;BSD;Apache;ISC;MPL;Mozilla;PSF;Python Software Foundation;Zlib;BSL;Unlicense;CC0
 audit: $(RELEASING) $(TESTING)
 	$(BIN)/pip-licenses --from=mixed --partial-match --allow-only="$(PERMISSIVE)" --order=license --format=markdown \
-	  --ignore-packages harvester-cosim asammdf casadi docutils fmpy cmeel-qhull nptdms axe-playwright-python
+	  --ignore-packages harvester-cosim asammdf casadi docutils fmpy cmeel-qhull nptdms objective-rating-metrics axe-playwright-python
 	$(BIN)/pip-audit --requirement lock.txt --require-hashes --disable-pip
 
 # a second call skips the installation; constraints.txt has the versions that were tested
