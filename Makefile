@@ -16,7 +16,7 @@ RELEASING := .venv/.have-release
 # With stored byte code every command starts 0.3 to 4 s sooner; the tests start hundreds of commands.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage mutants \
+.PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-indices bench-sweep bench-peers bench-live coverage mutants \
   docs pages clean release constraints extras test-lowest test-newest audit
 
 # with all extras, for the commands in README.md. FMI 2.0, and the whole machine in FMI 3.0, which the report
@@ -62,6 +62,10 @@ bench: $(EVERYTHING)
 bench-sensitivities: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.sensitivities
 	$(BIN)/python -m benchmarks.starts
+
+# sensitivity indices of a million runs
+bench-indices: $(EVERYTHING)
+	$(BIN)/python -m benchmarks.indices $(ARGS)
 
 bench-live: $(TESTING)
 	test -f build/harvester.ssp || $(BIN)/harvester build
@@ -142,11 +146,11 @@ TESTS_NEED := pytest pytest-timeout pytest-xdist hypothesis httpx playwright
 # Licences of the installed packages, and known vulnerabilities of the versions in lock.txt; the latter
 # asks a database on the internet. Read by hand: casadi, asammdf and npTDMS LGPL-3.0 (libraries that are imported, unchanged),
 # docutils public domain with a few GPL files (of Sphinx, not loaded); without a declaration FMPy BSD-2-Clause,
-# cmeel-qhull Qhull, axe-playwright-python MIT (of tests)
+# cmeel-qhull Qhull, objective-rating-metrics MIT, axe-playwright-python MIT (of tests)
 PERMISSIVE := MIT;BSD;Apache;ISC;MPL;Mozilla;PSF;Python Software Foundation;Zlib;BSL;Unlicense;CC0
 audit: $(RELEASING) $(TESTING)
 	$(BIN)/pip-licenses --from=mixed --partial-match --allow-only="$(PERMISSIVE)" --order=license --format=markdown \
-	  --ignore-packages harvester-cosim asammdf casadi docutils fmpy cmeel-qhull nptdms axe-playwright-python
+	  --ignore-packages harvester-cosim asammdf casadi docutils fmpy cmeel-qhull nptdms objective-rating-metrics axe-playwright-python
 	$(BIN)/pip-audit --requirement lock.txt --require-hashes --disable-pip
 
 # a second call skips the installation; constraints.txt has the versions that were tested

@@ -21,6 +21,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "control": ("control", "scipy"),
     "reference": ("sksundae",),
     "learn": ("gymnasium",),
+    "rating": ("objective_rating_metrics",),
 }
 # extra -> what needs it, for the table in README.md
 NEEDED_BY: Mapping[str, str] = {
@@ -35,9 +36,13 @@ NEEDED_BY: Mapping[str, str] = {
     "control": "`harvester linearize`; `to_control()`: linear models for python-control",
     "reference": "`harvester reference`, `harvester validate --monolithic`",
     "learn": "`MachinesEnv`: machines for reinforcement learning; needs `[build]`, too",
+    "rating": "`harvester validate --rate`, `compare --rate`; limits of `iso18571`",
 }
 # module -> systems and processors without a wheel, which pyproject.toml excludes
-NO_WHEEL: Mapping[str, tuple[tuple[str, str], ...]] = {"sksundae": (("Linux", "aarch64"),)}
+NO_WHEEL: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "sksundae": (("Linux", "aarch64"),),
+    "objective_rating_metrics": (("Darwin", "x86_64"),),
+}
 
 
 class MissingExtra(Problem):

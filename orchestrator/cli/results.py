@@ -24,6 +24,7 @@ def validate(
     reference: File | None = None,
     monolithic: bool = False,
     limit: Annotated[float | None, Kind("E")] = None,
+    rate: bool = False,
     layout: File | None = None,
     play: Patterns = None,
     out: Folder = BUILD,
@@ -39,6 +40,7 @@ def validate(
                  not with a reference file.
     limit        With `monolithic`: largest NRMSE of a signal; default: the limits of the work cycle's
                  reference, 0.01 with other systems, scenarios or variants.
+    rate         Rate the signals by ISO/TS 18571, too: corridor, phase, magnitude and slope.
     layout       Description of the figures in the report (.toml); default: the figures of the harvester; for
                  another system with `reference`: one row per signal.
     play         With `reference` and without `scenario`: further signals of the reference that are inputs of
@@ -59,6 +61,7 @@ def validate(
         default_system=DEFAULT_SYSTEM if system else file,
         monolithic=monolithic,
         limit=limit,
+        rate=rate,
         options=options,
     )
     told = partial(print, flush=True)
@@ -79,6 +82,7 @@ def compare(
     signals: Patterns = None,
     start: Time = None,
     stop: Time = None,
+    rate: bool = False,
     out: Folder = BUILD,
 ) -> None:
     """Compare traces of runs.
@@ -91,12 +95,14 @@ def compare(
               pressures and angles. The summary covers all signals.
     start     Start of the time window [s]; default: start of the overlap.
     stop      End of the time window [s]; default: end of the overlap.
+    rate      Rate the signals that are shown by ISO/TS 18571, too: corridor, phase, magnitude and slope.
     out       Folder of comparison.html and .json.
     """
     from orchestrator.results.comparison import compare as compare_traces
     from orchestrator.results.comparison_report import report
 
-    comparison = compare_traces(traces, against=against, signals=signals or (), start=start, stop=stop)
+    shown = signals or ()
+    comparison = compare_traces(traces, against=against, signals=shown, start=start, stop=stop, rate=rate)
     make_folder(out)
     found = report(comparison)
     page, numbers = found.write(out / "comparison.html")

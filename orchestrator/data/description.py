@@ -23,21 +23,25 @@ from orchestrator.base.units import parse_unit
 from orchestrator.data.table import TextFormat
 
 # `maximum` and `rmse` are in the unit of the signal, `fit` and `vaf` in percent, the others are
-# dimensionless. orchestrator/results/metrics.py contains the formulas.
-Metric = Literal["nrmse", "rmse", "maximum", "maximum_relative", "fit", "vaf"]
+# dimensionless. orchestrator/results/metrics.py contains the formulas. `iso` is an old name of `iso18571`.
+Metric = Literal["nrmse", "rmse", "maximum", "maximum_relative", "fit", "vaf", "iso18571", "iso"]
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """A limit on a metric: upper limit for errors, lower limit for fit and VAF."""
+    """A limit on a metric: upper limit for errors, lower limit for fit, VAF and ISO/TS 18571."""
 
     metric: Metric
     limit: Annotated[float, POSITIVE]
 
+    def __post_init__(self) -> None:
+        if self.metric == "iso":
+            object.__setattr__(self, "metric", "iso18571")
+
     @property
     def upper(self) -> bool:
         """True for an upper limit, False for a lower limit."""
-        return self.metric not in ("fit", "vaf")
+        return self.metric not in ("fit", "vaf", "iso18571")
 
     @property
     def in_unit(self) -> bool:
@@ -54,7 +58,8 @@ class Tolerance:
             return float("inf")
         if self.upper:
             return value / self.limit
-        return (100 - value) / (100 - self.limit) if self.limit < 100 else float(value < self.limit)
+        best = 1.0 if self.metric == "iso18571" else 100.0
+        return (best - value) / (best - self.limit) if self.limit < best else float(value < self.limit)
 
     def holds(self, value: float | None) -> bool:
         """True if a value of the metric is within the limit; False for None, an undefined value."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.extras import require
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.signals import selected, span
 from orchestrator.base.text import brief, first_names
@@ -21,6 +22,7 @@ from orchestrator.data.trace import Trace, inside
 from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_run
 from orchestrator.fmi.description import Value
 from orchestrator.results.metrics import AT_REST, HARDLY_MOVES
+from orchestrator.results.rating import RATING
 from orchestrator.results.validation import ValidatedSignal, Validation, validate
 
 if TYPE_CHECKING:
@@ -234,6 +236,7 @@ def compare(
     signals: str | Iterable[str] = (),
     start: Seconds = None,
     stop: Seconds = None,
+    rate: bool = False,
 ) -> Comparison:
     """Compare runs with one of them.
 
@@ -241,8 +244,11 @@ def compare(
     against      file or name of the run with which the others are compared; default: the first
     signals      patterns of the signals to show; default: speeds, pressures and angles that are outputs
     start, stop  time window [s]; default: the common time of both runs
+    rate         whether to rate the signals to show by ISO/TS 18571
     """
     signals = (signals,) if isinstance(signals, str) else tuple(signals)
+    if rate:
+        require("rating", RATING)
     runs = gather(sources, against)
     requested = str(against) if isinstance(sources, Mapping) else str(Path(against or ""))
     named = (run for run in runs if requested in (run.label, run.file))
@@ -251,12 +257,14 @@ def compare(
         raise Problem(f"compare: against {against}: expected one of {', '.join(r.label for r in runs)}")
     common = _common(runs, reference)
     recording = _as_recording(reference, common, seconds(start, "start"), seconds(stop, "stop"))
-    validations = {run.label: _validate(recording, run) for run in runs if run is not reference}
+    chosen = _chosen(runs, common, signals)
+    to_rate = chosen if rate else ()
+    validations = {run.label: _validate(recording, run, to_rate) for run in runs if run is not reference}
     return Comparison(
         tuple(runs),
         reference,
         validations,
-        _chosen(runs, common, signals),
+        chosen,
         _notes(runs, common),
         tuple(text for run in runs if run is not reference and (text := _other_experiment(reference, run))),
         bool(signals),
@@ -341,9 +349,9 @@ def _moving(row: ValidatedSignal, least: float) -> ValidatedSignal | None:
     return replace(row, metrics=metrics, notes=(*row.notes, CONSTANT))
 
 
-def _validate(recording: Recording, run: Run) -> Validation:
+def _validate(recording: Recording, run: Run, to_rate: Collection[str]) -> Validation:
     try:
-        return validate(run.trace, recording)
+        return validate(run.trace, recording, rate=to_rate)
     except Problem as problem:
         raise Problem(f"compare {run.label} with {problem}") from None
 

@@ -39,6 +39,7 @@ from orchestrator.results.comparison import (
 from orchestrator.results.metrics import AT_REST, HARDLY_MOVES
 from orchestrator.results.report import PAGE, TERMINAL, Figure, Part, Report, Section, Table, Text
 from orchestrator.results.validation import ValidatedSignal
+from orchestrator.results.validation_report import RATED, ratings
 from orchestrator.ssp.provenance import value_text
 
 SIDE_BY_SIDE = 3  # runs in a table of signals
@@ -111,6 +112,8 @@ def tables(comparison: Comparison) -> Iterator[Table]:
     for label in comparison.against:
         yield Table(_worst(comparison, label))
     yield from map(Table, _signals(comparison))
+    for label, validation in comparison.against.items():
+        yield ratings(validation.rows, f"{RATED}, {label}")
 
 
 def worst_tables(comparison: Comparison) -> Iterator[TextTable]:
@@ -354,4 +357,5 @@ def _row(row: ValidatedSignal) -> dict[str, Any]:
         "rmse": m.rmse,
         "maximum": m.maximum_error,
         "time of maximum [s]": m.time_of_maximum,
+        "iso18571": m.iso18571 and asdict(m.iso18571),
     }

@@ -7,6 +7,7 @@ With the error e = simulation - reference y over n common samples:
     NRMSE           RMSE / (max y - min y)              over the range of the whole reference
     fit             100 (1 - ||e|| / ||y - mean y||)    [%]
     VAF             100 (1 - var e / var y)             [%]  variance accounted for; ignores an offset
+    ISO/TS 18571    rating.py, only if it is asked for
 
 A constant reference has no range: then NRMSE uses the magnitude of the reference, fit and VAF are None, and
 a note is added. If a signal moves by less than 0.1 % of its nominal value, this floor is the divisor. The
@@ -23,6 +24,7 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.signals import TINY, moves, rms
 from orchestrator.data.table import Array
+from orchestrator.results.rating import Rating, rate
 
 # Range over nominal value of a signal at rest, whose errors would otherwise be divided by noise.
 AT_REST, HARDLY_MOVES = 1e-3, "the reference hardly moves"
@@ -42,14 +44,15 @@ class Metrics:
     normalised_by: float  # denominator of NRMSE, in the unit of the signal
     fit: float | None  # [%]
     vaf: float | None  # [%]
+    iso18571: Rating | None = None  # None if it was not asked for
     notes: tuple[str, ...] = ()
 
     def value(self, metric: str) -> float | None:
         """Value of a metric by its name in a description."""
         if metric == "maximum":
             return self.maximum_error
-        value: float | None = getattr(self, metric)
-        return value
+        value: float | Rating | None = getattr(self, metric)
+        return value.overall if isinstance(value, Rating) else value
 
 
 def measure(
@@ -60,6 +63,7 @@ def measure(
     span: float | None = None,
     floor: float = 0.0,
     recording: Array | None = None,
+    rated: bool = False,
     where: str,
 ) -> Metrics:
     """Metrics of one signal on common samples, all arrays of shape (n,).
@@ -67,6 +71,7 @@ def measure(
     span       denominator of NRMSE instead of the range of the reference
     floor      smallest denominator of NRMSE otherwise, such as `AT_REST` times the nominal value
     recording  the recording, shape (m,), that contains `reference`; its range is the range of the reference
+    rated      whether to rate the signal by ISO/TS 18571
     where      file and signal, for messages
     """
     _check(time, simulation, reference, where)
@@ -88,6 +93,7 @@ def measure(
         normalised_by=denominator,
         fit=None if is_constant else 100 * (1 - float(np.linalg.norm(error)) / norm),
         vaf=None if is_constant else 100 * (1 - float(np.var(error) / np.var(reference))),
+        iso18571=rate(time, simulation, reference) if rated else None,
         notes=notes,
     )
 

@@ -41,6 +41,7 @@ from orchestrator.results.validation import (
     Validation,
     by_variable,
     check_comparable,
+    rated,
     validate,
     without_repetitions,
 )
@@ -143,15 +144,17 @@ def judge(
     out: Path,
     facts: Mapping[str, Any],
     machine: Markup = Markup(),  # noqa: B008  immutable
+    rate: bool = False,
 ) -> tuple[Validation, Report, Path, Path]:
     """Compare a run with a reference and write report.html and report.json into the folder `out`.
 
     layout  without figures there is one, with a row per compared signal
     facts   settings of the run, in the order of the report
     machine the machine that replays the run, as HTML
+    rate    whether to rate the listed signals by ISO/TS 18571, too
     """
     with doing(f"comparing {len(reference.signals)} signals"):
-        validation = validate(result.trace, reference)
+        validation = validate(result.trace, reference, rate=rate)
     validation = replace(validation, unreliable=result.card.unreliable)
     layout.check(result.trace)
     panels = tuple(PanelSpec(row.title, (row.signal,)) for row in validation.rows)
@@ -268,6 +271,7 @@ class Experiment:
     default_system   system to which the default layout belongs, also with another reference
     monolithic       compare with the monolithic solution of the same FMUs
     limit            of the NRMSE of each signal of the monolithic solution, see `monolithic_recording`
+    rate             rate the listed signals by ISO/TS 18571, too
     options          of the run
     """
 
@@ -280,6 +284,7 @@ class Experiment:
     default_system: Path = DEFAULT_SYSTEM
     monolithic: bool = False
     limit: float | None = None
+    rate: bool = False
     options: CoupledArguments = field(default_factory=lambda: CoupledArguments())
 
     def check(self) -> None:
@@ -349,6 +354,7 @@ def validate_system(
     """
     of.check()
     (against, commands), page = of.against(), of.page()
+    rated(against, of.rate)  # before the run
     doubts = [*against.log_faults()]
 
     def accept(system: System, times: Grid, signals: RowLayout) -> None:
@@ -400,7 +406,7 @@ def validate_system(
     machine, reason = _machine(of.system, result, against)
     result = result.noted(reason) if reason else result
     result = replace(result, trace=recorded)
-    validation, found, html, data = judge(result, against, page, out, facts, machine)
+    validation, found, html, data = judge(result, against, page, out, facts, machine, of.rate)
     files = f"report: {html}\nnumbers: {data}\ntrace: {file}"
     return validation, f"{found.text()}\n\n{card.text()}\n\n{files}"
 

@@ -9,13 +9,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
+from orchestrator.base.extras import require
 from orchestrator.base.signals import found
 from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import factor_and_offset
@@ -25,6 +26,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import LARGEST_ROUNDING, Data, Trace, as_trace, inside, rounding
 from orchestrator.engine.result import Result, metadata, read_run
 from orchestrator.results.metrics import AT_REST, Metrics, measure
+from orchestrator.results.rating import RATING
 
 
 def by_variable(trace: Trace, requested: Iterable[str]) -> Trace:
@@ -153,7 +155,10 @@ class Validation:
 
 
 def validate(
-    run: Result | Data | str | Path, reference: Recording | Result | Data | str | Path
+    run: Result | Data | str | Path,
+    reference: Recording | Result | Data | str | Path,
+    *,
+    rate: bool | Collection[str] = False,
 ) -> Validation:
     """Compare every signal of the reference with the run.
 
@@ -161,6 +166,7 @@ def validate(
                 or .mat file
     reference   a recording, or its data file with a .toml next to it; the result of `reference`; a trace, a
                 DataFrame or a mapping with signals in the units of the run
+    rate        rate all listed signals, or these, by ISO/TS 18571, and not only those with such a limit
 
     Raises a Problem if the run lacks a signal, if units do not match, or without a common window.
     """
@@ -181,19 +187,31 @@ def validate(
     reference = replace(reference, units=units)
     floors = {n: replace(reference.criterion(n), floor=AT_REST * abs(nominals[n])) for n in nominals}
     reference = replace(reference, criteria={**reference.criteria, **floors})
+    to_rate = rated(reference, rate)
     check_comparable(trace, reference)
     grid, notes = common_grid(trace.time, reference)
     if missing := [name for name in reference.signals if name not in trace.signals]:
         told = f"{len(missing)} signals of the reference are not in the run: {first_names(missing)}"
         notes, reference = (*notes, told), reference.select(n for n in reference.signals if n not in missing)
     return Validation(
-        rows=tuple(_row(name, trace, reference, grid) for name in reference.signals),
+        rows=tuple(_row(name, trace, reference, grid, name in to_rate) for name in reference.signals),
         window=(float(grid[0]), float(grid[-1])),
         title=reference.heading,
         source=reference.source.name,
         about=reference.metadata,
         notes=notes,
     )
+
+
+def rated(reference: Recording, rate: bool | Collection[str]) -> Collection[str]:
+    """The signals that `validate` rates by ISO/TS 18571; raises Problem without the package for it."""
+    limits = ((name, reference.criterion(name).tolerance) for name in reference.signals)
+    limited = {name for name, limit in limits if limit is not None and limit.metric == "iso18571"}
+    if isinstance(rate, bool):
+        rate = reference.signals.keys() - reference.unlisted if rate else ()
+    if names := limited.union(rate):
+        require("rating", RATING)
+    return names
 
 
 def check_comparable(run: Trace, reference: Recording) -> None:
@@ -246,7 +264,7 @@ def _between(grid: Array, time: Array) -> int:
     return int(np.sum(np.abs(time[at_or_after] - grid) > tolerance))
 
 
-def _row(name: str, trace: Trace, reference: Recording, grid: Array) -> ValidatedSignal:
+def _row(name: str, trace: Trace, reference: Recording, grid: Array, to_rate: bool) -> ValidatedSignal:
     """Resample, measure and judge one signal."""
     where, values, notes = f"{reference.source}: {name}", trace[name], []
     listed = name not in reference.unlisted
@@ -277,6 +295,7 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array) -> Validate
         span=None if criterion.span is None else criterion.span * factor,
         floor=criterion.floor,
         recording=recorded[valid & inside(reference.time, reference.start, reference.stop)],
+        rated=to_rate,
         where=where,
     )
     tolerance = None if criterion.tolerance is None else criterion.tolerance.scaled(factor)

@@ -34,6 +34,7 @@ from orchestrator.pages.figures import PALETTE, REFERENCE, SIMULATION, TraceFigu
 from orchestrator.pages.html_page import breakable, upper_first
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.metrics import GIVEN
+from orchestrator.results.rating import PARTS
 from orchestrator.results.report import TERMINAL, Facts, Figure, Machine, Part, Report, Section, Table, Text
 from orchestrator.results.validation import ValidatedSignal, Validation
 
@@ -44,6 +45,7 @@ NAMES = {
     "maximum_relative": "max. relative error",
     "fit": "fit",
     "vaf": "VAF",
+    "iso18571": (RATED := "ISO/TS 18571"),
 }
 ALMOST = 99.99  # [%]
 MISSED = 20  # signals outside their limits that are listed
@@ -93,6 +95,7 @@ def validation_report(
         Text(_summary(validation), only=TERMINAL),
         _numbers(validation),
         *_worst(validation, trace),
+        ratings(validation.rows, RATED),
         Machine(machine),
         Section("Warnings of the run", [Text(run["warnings"], "warn")]),
         *(Section(name, [figure]) for name, figure in drawn),
@@ -131,6 +134,18 @@ def _data(row: ValidatedSignal) -> dict[str, Any]:
         "passed": row.passed,
         "notes": row.notes,
     }
+
+
+def ratings(rows: Iterable[ValidatedSignal], title: str) -> Table:
+    """Table of the signals that were rated by ISO/TS 18571, and why some of them have no rating."""
+    cells, below = list[list[str]](), list[str]()
+    for row in rows:
+        if rating := row.metrics.iso18571:
+            values = (getattr(rating, part) for part in PARTS)
+            numbers = [NO_VALUE if value is None else f"{value:.3f}" for value in values]
+            cells.append([row.signal, *numbers, rating.grade])
+            below += [f"{row.signal}: {rating.grade}, {rating.reason}"] if rating.reason else []
+    return Table(TextTable([title, *PARTS, "grade"], cells, left=(0, len(PARTS) + 1)), below)
 
 
 # ---- parts of the page
@@ -241,7 +256,8 @@ def judged_text(row: ValidatedSignal, value: float | None) -> str:
         return error_display_unit(row.unit).ascii(value)
     if row.tolerance.metric in ("nrmse", "maximum_relative"):
         return percentage(value)
-    return f"{math.floor(1e4 * value + 1e-6) / 1e4:g} %"  # fit or VAF, rounded down
+    rounded = f"{math.floor(1e4 * value + 1e-6) / 1e4:g}"  # a rating, fit or VAF, rounded down
+    return rounded if row.tolerance.metric == "iso18571" else f"{rounded} %"
 
 
 def limit_text(row: ValidatedSignal) -> str:
@@ -266,7 +282,8 @@ def miss_text(row: ValidatedSignal) -> str:
     metric, allowed, value = NAMES[row.tolerance.metric], row.tolerance.limit, row.judged_value
     limits = f"limit {judged_text(row, allowed)}"
     if value is None:
-        reason = "; ".join(row.notes)
+        rating = row.metrics.iso18571
+        reason = rating.reason if rating else "; ".join(row.notes)
         return f"no {metric}, {limits}" + (f" ({reason})" if reason else "")
     if not row.tolerance.upper:
         return f"{metric} {judged_text(row, value)}, {limits} ({judged_text(row, allowed - value)} short)"

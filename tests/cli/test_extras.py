@@ -55,7 +55,7 @@ def without(hidden, code, folder):
 def package_of(module):
     """The package that brings a module."""
     (package,) = packages()[module]
-    return package.lower()
+    return package.lower().replace("_", "-")
 
 
 def test_the_extras_are_those_of_the_project_file():
@@ -97,6 +97,10 @@ for words in {commands!r}:
 """
 
 
+# extra -> what needs it, in the message, where it is not the command
+NEEDING = {"reference": "the reference solution", "rating": "the rating of ISO/TS 18571"}
+
+
 def test_a_command_without_its_extra_says_what_to_install(fmu_dir, tmp_path):
     """One line with the packages and the command, and the exit status of a mistake; nothing is written."""
     rows, system = entry(__file__, "commands"), fmu_dir / "harvester.ssp"
@@ -106,7 +110,7 @@ def test_a_command_without_its_extra_says_what_to_install(fmu_dir, tmp_path):
     for (extra, _, modules, name), line in zip(rows, done.stdout.splitlines(), strict=True):
         status, out, told = literal_eval(line)
         install = re.escape(f'; install with: pip install "harvester-cosim[{extra}]"\n')
-        who = "the reference solution" if extra == "reference" else f"harvester {name}"
+        who = NEEDING.get(extra, f"harvester {name}")
         assert re.fullmatch(f"harvester: {who} needs the packages? [\\w, ]+{install}", told), told
         assert all(module in told for module in modules or EXTRAS[extra]), told
         assert (status, out) == (2, ""), name

@@ -6,14 +6,17 @@ from statistics import NormalDist
 import numpy as np
 import pandas as pd
 import pytest
-from SALib.analyze import morris, sobol
+from kit import shards
+from SALib.analyze import morris, rbd_fast, sobol
 from sweep.pages import MANY, SINGLE, TWO
+from sweep.studies import run, study
 from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, ishigami_indices, results, uniform
 
 from orchestrator.studies import design
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, IntervalEstimate, samples
 from orchestrator.studies.analysis.sensitivity import RESAMPLES, intervals
+from orchestrator.studies.store import read
 from orchestrator.studies.study import Choice, Factor
 
 LINEAR = {"x1": 4.0, "x2": -2.0, "x3": 1.0, "x4": 0.0}
@@ -133,6 +136,61 @@ SALIB = pytest.mark.parametrize(
 )
 
 
+STORED = """
+title = "A product and a sum"
+system = "gain.fmu"
+method = "{method}"
+runs = {runs}
+seed = 3
+stop = 0.02
+step = 0.01
+[factors]
+"gain.factor" = {{ distribution = "uniform", minimum = 1, maximum = 3 }}
+"gain.u" = {{ distribution = "uniform", minimum = -1, maximum = 2 }}
+"gain.offset" = {{ distribution = "uniform", minimum = 0, maximum = 1 }}
+[outputs]
+peak = {{ signal = "gain.y", measure = "final" }}
+"""
+METHODS = (("saltelli", 16), ("morris", 6), ("latin", 200))
+
+
+def assert_salib(method, found):
+    """A study without choices has the numbers of SALib's `analyze`, called with the columns of its table."""
+    table = found.table.sort_values("run")
+    names = [factor.column for factor in found.study.factors]
+    x, y = table[names].to_numpy(), table[found.study.outputs[0].column].to_numpy()
+    problem = {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
+    if method == "saltelli":
+        theirs = sobol.analyze(problem, y, calc_second_order=False, num_resamples=2, seed=1)
+        keys = {"S1": FIRST, "ST": TOTAL}
+    elif method == "morris":
+        theirs, keys = morris.analyze(problem, x, y, num_resamples=2, seed=1), {"mu_star": MU_STAR}
+    else:
+        theirs, keys = rbd_fast.analyze(problem, x, y, num_resamples=2, seed=1), {"S1": FIRST}
+    ours = effects(finding(found))
+    size = np.ptp(y) if method == "morris" else 1.0
+    for key, measure in keys.items():
+        values = [ours[factor.name].estimates[measure].value for factor in found.study.factors]
+        # the same formulas: rounding only, of sums of numbers of the size of 1
+        np.testing.assert_allclose(values, np.array(theirs[key], float), rtol=1e-12, atol=1e-12 * size)
+    for key in ("mu", "sigma") if method == "morris" else ():
+        more = [ours[factor.name].more[key] for factor in found.study.factors]
+        np.testing.assert_allclose(more, np.array(theirs[key], float), rtol=1e-12, atol=1e-12 * size)
+
+
+@pytest.mark.parametrize(("method", "runs"), METHODS)
+def test_ishigami_has_the_indices_of_salib(method, runs):
+    """To rounding."""
+    assert_salib(method, results(ishigami, ISHIGAMI, method, runs))
+
+
+@pytest.mark.parametrize(("method", "runs"), shards.few(METHODS[:2], METHODS, shards.search))
+def test_a_stored_study_has_the_indices_of_salib(gain, tmp_path, method, runs):
+    """Runs of an FMU, read from the folder of the study."""
+    run(study(tmp_path, STORED.format(method=method, runs=runs), gain))
+    assert_salib(method, read(tmp_path / "out"))
+
+
 @SALIB
 def test_indices_are_those_of_salib(choices, failed):
     """S of the mean over the combinations, T of each, both as fractions of the variance over all."""
@@ -153,8 +211,8 @@ def test_indices_are_those_of_salib(choices, failed):
     ours = effects(finding(found))
     for i, name in enumerate(data.names):
         # the same sums in another order: rounding only
-        assert ours[name].estimates[FIRST].value == pytest.approx(first[i], rel=1e-9, abs=1e-12)
-        assert ours[name].estimates[TOTAL].value == pytest.approx(np.mean(parts, axis=0)[i], rel=1e-9)
+        assert ours[name].estimates[FIRST].value == pytest.approx(first[i], rel=1e-12, abs=1e-12)
+        assert ours[name].estimates[TOTAL].value == pytest.approx(np.mean(parts, axis=0)[i], rel=1e-12)
 
 
 @SALIB
@@ -172,9 +230,9 @@ def test_elementary_effects_are_those_of_salib(choices, failed):
     for i, name in enumerate(of.names):
         effect = ours[name]
         # the same sums in another order: rounding only, of effects of the size of 1
-        assert effect.estimates[MU_STAR].value == pytest.approx(star.mean(axis=0)[i], rel=1e-9)
-        assert effect.more["mu"] == pytest.approx(mu.mean(axis=0)[i], rel=1e-9, abs=1e-12)
-        assert effect.more["sigma"] == pytest.approx(np.sqrt(within + between)[i], rel=1e-9, abs=1e-12)
+        assert effect.estimates[MU_STAR].value == pytest.approx(star.mean(axis=0)[i], rel=1e-12)
+        assert effect.more["mu"] == pytest.approx(mu.mean(axis=0)[i], rel=1e-12, abs=1e-12)
+        assert effect.more["sigma"] == pytest.approx(np.sqrt(within + between)[i], rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize("crossed", [(), (TWO,)])

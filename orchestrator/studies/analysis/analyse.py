@@ -134,7 +134,7 @@ def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:
     elif study.method == "saltelli":
         result = _from_saltelli(data)
     else:
-        result = sensitivity.from_sample(data)
+        result = sensitivity.from_sample(data, study.method == "sobol")
     if isinstance(result, str):
         return result
     options = {choice.name: choice.options for choice in study.choices}
@@ -151,7 +151,7 @@ def _from_saltelli(data: OutputSamples) -> Sensitivity | str:
         return sensitivity.sobol_indices(design, count)
     size = f"only {complete} of {count} base samples are complete"
     size = size if complete < count else f"{count} base samples"
-    result = sensitivity.from_sample(sensitivity.independent(data))
+    result = sensitivity.from_sample(sensitivity.independent(data), sequence=True)
     if isinstance(result, str):
         return f"{size}, too few for a Saltelli design; {result}"
     note = (

@@ -1,5 +1,10 @@
 """Sensitivities from designs of Morris and Saltelli, a plain sample (Latin hypercube, Sobol' points), a grid.
 
+SALib estimates, from complete trajectories or base samples. It has no crossed choices: mu* and mu are means
+over their combinations, sigma is that of all effects, total indices are of the samples of all combinations,
+first-order indices of the mean over them. Intervals, but for RBD-FAST, are percentiles of resamples in which
+a trajectory or base sample with all its combinations is one draw; SALib's follow from standard deviations.
+
 Elementary effects of a Morris design:
 
     d_i = (y(x with x_i moved by delta) - y(x)) / delta        mu* = mean |d_i|        sigma = sd of d_i
@@ -13,8 +18,7 @@ Sobol' indices of a Saltelli design: rows A, A with one column of B after the ot
     S_i = Var(E(y | x_i)) / V        T_i = E(Var(y | all but x_i)) / V
 
 Estimators of Saltelli et al. (2010), Computer Physics Communications 181, 259-270, table 2 (b) and (f). V is
-over factors and choices: y averaged over the choices gives S_i, all of y gives T_i. Intervals: trajectories
-and base samples are resampled; one with all its rows and combinations is one draw.
+over factors and choices, in S_i too, where SALib has the variance of the mean over the combinations.
 
 A linear model of an output: standardised coefficients, their fractions of the variance, and R^2.
 
@@ -36,14 +40,16 @@ Nothing is sampled, so there are no intervals: the results hold for the values o
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from SALib.analyze import rbd_fast
-from scipy.stats import bootstrap
+from SALib.analyze import morris, rbd_fast
+from SALib.analyze.sobol import first_order, total_order
+from scipy.stats import bootstrap, rankdata
 
 from orchestrator.data.table import Array
 from orchestrator.studies.analysis.results import (
@@ -61,6 +67,7 @@ from orchestrator.studies.design import LEVELS, problem
 from orchestrator.studies.study import Choice
 
 RESAMPLES = 400  # of the bootstrap: ends of a 95 % interval are accurate to some percent of its width
+DRAWN = 2**20  # numbers of samples that the bootstrap draws at once
 SEED = 20_01  # fixed, so that equal results give equal intervals
 MORRIS = "elementary effects of a Morris design"
 SOBOL = "Sobol' indices of a Saltelli design"
@@ -74,8 +81,11 @@ LINEAR = "squared standardised coefficients of a linear model"
 GRID = "main effects on a full grid"
 ENOUGH = 200  # samples for RBD-FAST
 FAST_RESAMPLES = 100  # default of SALib, whose intervals follow from a standard deviation
+FEWEST_RESAMPLES, FAST_DRAWN = 25, 10**7  # of more than 1e5 samples fewer: a width is then accurate to 14 %
 BLOCK = 8  # ranks that are shuffled; for 200 samples the 10th harmonic has a wave length of some 40 ranks
 DEGREES_OF_FREEDOM = 10  # least number of samples of a linear model beyond its coefficients
+PART = 2**13  # rows of a table that are in the cache of a core
+CONSTANT = 1e-7  # standard deviation of a column of a resample, over that of all samples, below which it is 0
 LEAST_FIT = 0.7  # R^2 below which a linear model does not rank factors [Saltelli et al. 2004]
 ZERO = IntervalEstimate(0.0, 0.0, 0.0)
 
@@ -93,7 +103,7 @@ def intervals(estimate: Callable[[Rows], Array], count: int) -> list[IntervalEst
     """
     rows, rng = np.arange(count), np.random.default_rng(SEED)
     settings = {"n_resamples": RESAMPLES, "method": "percentile", "vectorized": False}
-    result = bootstrap((rows,), estimate, rng=rng, **settings)
+    result = bootstrap((rows,), estimate, rng=rng, batch=max(1, DRAWN // count), **settings)
     ends = zip(estimate(rows), *result.confidence_interval, strict=True)
     return [IntervalEstimate(float(value), float(low), float(high)) for value, low, high in ends]
 
@@ -148,17 +158,16 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
     complete = len(design.y) // width
     if complete < LEAST_TRAJECTORIES:
         return f"expected at least {LEAST_TRAJECTORIES} complete trajectories, got {complete} of {count}"
-    x, y = (values.reshape(complete, width, -1) for values in (design.x, design.y))
-    # shape (trajectories, dimensions, combinations of crossed choices); a step moves one dimension by STEP
-    changes = np.einsum("tsd,tsc->tdc", np.sign(np.diff(x, axis=1)), np.diff(y, axis=1)) / STEP
-    stars = intervals(lambda rows: np.abs(changes[rows]).mean(axis=(0, 2)), complete)
-    means = changes.mean(axis=0)
-    sigmas = np.sqrt(changes.var(axis=0, ddof=1).mean(axis=1) + means.var(axis=1)).tolist()
+    settings = {"num_levels": LEVELS, "num_resamples": 2, "seed": SEED}  # SALib's intervals are not used
+    of_each = [morris.analyze(problem(design.names), design.x, y, **settings) for y in design.y.T]
+    star, mu, sigma = (np.array([of[key] for of in of_each], float) for key in ("mu_star", "mu", "sigma"))
+    sigmas = np.sqrt((sigma**2).mean(axis=0) + mu.var(axis=0)).tolist()
+    columns = star.mean(axis=0).tolist(), mu.mean(axis=0).tolist(), sigmas
     directions = rank_correlations(design, design.y.mean(axis=1))
-    found = zip(design.dimensions, stars, means.mean(axis=1).tolist(), sigmas, directions, strict=True)
+    each = zip(design.dimensions, _trajectory_intervals(design), *columns, directions, strict=True)
     effects = [
-        Effect(d.name, d.kind, {MU_STAR: star}, {"mu": mu, "sigma": sigma}, direction)
-        for d, star, mu, sigma, direction in found
+        Effect(d.name, d.kind, {MU_STAR: replace(i, value=v)}, {"mu": mean, "sigma": sd}, direction)
+        for d, i, v, mean, sd, direction in each
     ]
     effects += _option_effects(design, width)
     notes = [
@@ -170,9 +179,17 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
     return Sensitivity(MORRIS, MU_STAR, complete, float(design.y.var()), largest_first, notes=tuple(notes))
 
 
-def _mean(values: Array, rows: Rows) -> Array:
-    """Mean of the values with these indices, shape (1,)."""
-    return np.array([values[rows].mean()])
+def _trajectory_intervals(design: OutputSamples) -> list[IntervalEstimate]:
+    """mu* of each factor with its interval."""
+    x, y = (v.reshape(-1, len(design.names) + 1, v.shape[1]) for v in (design.x, design.y))
+    moved, change = np.diff(x, axis=1) != 0, np.abs(np.diff(y, axis=1)).mean(axis=2)
+    magnitudes = np.einsum("tsd,ts->td", moved, change) / STEP
+    return intervals(partial(_means, magnitudes), len(magnitudes))
+
+
+def _means(values: Array, rows: Rows) -> Array:
+    """Mean of these rows of values of shape (n, m)."""
+    return np.asarray(values.take(rows, axis=0).mean(axis=0))
 
 
 def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
@@ -183,8 +200,8 @@ def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
         options = np.moveaxis(y, axis, -1)
         first, second = np.triu_indices(len(choice.options), 1)
         change = options[..., second] - options[..., first]
-        magnitude = np.abs(change).reshape(len(y), -1).mean(axis=1)
-        (star,) = intervals(partial(_mean, magnitude), len(y))
+        magnitude = np.abs(change).reshape(len(y), -1).mean(axis=1, keepdims=True)
+        (star,) = intervals(partial(_means, magnitude), len(y))
         more = {"mu": float(change.mean()), "sigma": float(change.std())}
         effects.append(Effect(choice.name, choice.kind, {MU_STAR: star}, more))
     return effects
@@ -222,7 +239,10 @@ def sobol_indices(design: OutputSamples, count: int) -> Sensitivity:
 
 def _sobol_effects(independent_rows: OutputSamples, y: Array) -> list[Effect]:
     """Indices of the factors; y of shape (base samples, rows, combinations)."""
-    estimates, k = intervals(lambda rows: _indices(y, rows), len(y)), len(independent_rows.dimensions)
+    y, k = (y - y.mean()) / y.std(), len(independent_rows.dimensions)  # as SALib's `analyze` does
+    with warnings.catch_warnings():  # SALib's, of a resample in which all values are equal: its indices are 0
+        warnings.simplefilter("ignore", UserWarning)
+        estimates = intervals(lambda rows: _indices(y.take(rows, axis=0)), len(y))
     directions = rank_correlations(independent_rows, independent_rows.y.mean(axis=1))
     return [
         Effect(d.name, d.kind, {FIRST: estimates[i], TOTAL: estimates[k + i]}, direction=directions[i])
@@ -230,25 +250,25 @@ def _sobol_effects(independent_rows: OutputSamples, y: Array) -> list[Effect]:
     ]
 
 
-def _indices(y: Array, rows: Rows) -> Array:
-    """S_1 .. S_k, T_1 .. T_k, shape (2 k,), for some of the base samples; 0 if all values are equal.
+def _indices(y: Array) -> Array:
+    """S_1 .. S_k, T_1 .. T_k, shape (2 k,), of base samples of shape (n, k + 2, combinations)."""
+    ends, means = y[:, [0, -1]], y.mean(axis=2, keepdims=True)
+    # SALib divides S by the variance of the means, which is V without crossed choices
+    fraction = means[:, [0, -1]].var() / (ends.var() or np.inf)
+    return np.concatenate((fraction * first_order(*_columns(means)), total_order(*_columns(y))))
 
-        S_i = mean(f_B (f_ABi - f_A)) / V        T_i = mean((f_A - f_ABi)^2) / 2 V
 
-    In S_i f is the mean over the combinations of crossed choices.
-    """
-    y = y[rows] - y.mean()
-    variance, means = y[:, [0, -1]].var(), y.mean(axis=2)
-    first = (means[:, -1:] * (means[:, 1:-1] - means[:, :1])).mean(axis=0)
-    total = ((y[:, :1] - y[:, 1:-1]) ** 2).mean(axis=(0, 2)) / 2
-    return np.concatenate((first, total)) / (variance or np.inf)
+def _columns(y: Array) -> tuple[Array, ...]:
+    """f_A, f_AB and f_B for SALib, each of shape (n combinations, k)."""
+    rows = np.moveaxis(y, 2, 1).reshape(-1, y.shape[1])
+    return np.broadcast_arrays(rows[:, :1], rows[:, 1:-1], rows[:, -1:])
 
 
 # ---- plain samples
 
 
-def from_sample(samples: OutputSamples) -> Sensitivity | str:
-    """First-order effects of each factor and choice; a reason if there are too few samples."""
+def from_sample(samples: OutputSamples, sequence: bool) -> Sensitivity | str:
+    """First-order effects of factors and choices, or why not; `sequence`: from Sobol' points."""
     complete = samples.at(samples.complete)
     count, missing = len(complete.y), len(samples.y) - len(complete.y)
     coefficients = 1 + sum(len(d.options) - 1 if isinstance(d, Choice) else 1 for d in samples.dimensions)
@@ -259,7 +279,7 @@ def from_sample(samples: OutputSamples) -> Sensitivity | str:
     fast = count >= ENOUGH
     measure = FIRST if fast else REGRESSION
     crossed = [Effect(e.name, e.kind, {measure: e.estimates[FIRST]}) for e in of_crossed(complete)]
-    found, fit = _effects(complete, fast)
+    found, fit = _effects(complete, fast, sequence)
     reliable = fast or fit >= LEAST_FIT
     notes = [f"a linear model of the factors explains {100 * fit:.0f} % of the variance"]
     if fast:
@@ -277,7 +297,7 @@ def from_sample(samples: OutputSamples) -> Sensitivity | str:
     return Sensitivity(method, measure, count, variance, effects, quality, tuple(notes), reliable)
 
 
-def _effects(samples: OutputSamples, fast: bool) -> tuple[list[Effect], float]:
+def _effects(samples: OutputSamples, fast: bool, sequence: bool) -> tuple[list[Effect], float]:
     """Effects of the dimensions on the mean over the crossed choices, as fractions of the whole variance.
 
     Second, R^2 of the linear model.
@@ -285,7 +305,8 @@ def _effects(samples: OutputSamples, fast: bool) -> tuple[list[Effect], float]:
     y = samples.y.mean(axis=1)
     fraction = float(y.var()) / float(samples.y.var())
     constant = fraction < 1e-12
-    first = _rbd_fast(samples, y, fraction) if fast and not constant else [ZERO] * len(samples.names)
+    estimated = fast and not constant
+    first = _rbd_fast(samples, y, fraction, sequence) if estimated else [ZERO] * len(samples.names)
     coefficients, fit = ({}, 0.0) if constant else linear_model(samples, y)
     directions = rank_correlations(samples, y)
     effects = []
@@ -319,22 +340,28 @@ def linear_model(samples: OutputSamples, y: Array) -> tuple[dict[str, IntervalEs
         names += [dimension.name if len(added) == 1 else ""] * len(added)
     if not columns:
         return {}, 0.0
-    table = np.column_stack(columns)
-
-    def coefficients(rows: Rows) -> Array:
-        return np.asarray(np.linalg.lstsq(_standard(table[rows]), _standard(y[rows]), rcond=None)[0])
-
-    estimates = intervals(coefficients, len(y))
-    residual = _standard(y) - _standard(table) @ [estimate.value for estimate in estimates]
+    table = np.column_stack([*columns, y])
+    table = np.column_stack([np.ones(len(y)), (table - table.mean(axis=0)) / table.std(axis=0)])
+    estimates = intervals(lambda rows: _coefficients(table, rows), len(y))
+    residual = table[:, 1:] @ [*(-estimate.value for estimate in estimates), 1.0]
     known = {name: estimate for name, estimate in zip(names, estimates, strict=True) if name}
     return known, 1.0 - float(np.mean(residual**2))
 
 
-def _standard(values: Array) -> Array:
-    """Columns scaled to mean 0 and standard deviation 1; constant columns become 0."""
-    mean = values.mean(axis=0, keepdims=True)
-    deviation = values.std(axis=0, mean=mean)
-    return np.asarray((values - mean) / np.where(deviation > 0, deviation, 1.0), np.float64)
+def _coefficients(table: Array, rows: Rows) -> Array:
+    """Standardised coefficients of the last column of these rows in the others; 0 for a constant column.
+
+    table   shape (n, m): a column of ones, then columns with mean 0 and standard deviation 1
+    """
+    times = np.bincount(rows, minlength=len(table))[:, None].astype(float)
+    # in the order of the table, whose rows at random would be slow to read
+    parts = (slice(k, k + PART) for k in range(0, len(table), PART))
+    moments = np.sum([table[p].T @ (times[p] * table[p]) for p in parts], axis=0) / len(rows)
+    covariance = (moments - np.outer(moments[0], moments[0]))[1:, 1:]
+    deviation = np.sqrt(covariance.diagonal().clip(0.0))
+    scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > CONSTANT)
+    correlation = covariance * np.outer(scale, scale)
+    return np.asarray(np.linalg.pinv(correlation[:-1, :-1], CONSTANT, hermitian=True) @ correlation[:-1, -1])
 
 
 def _epsilon_squared(group: Array, y: Array, fraction: float) -> IntervalEstimate:
@@ -343,25 +370,31 @@ def _epsilon_squared(group: Array, y: Array, fraction: float) -> IntervalEstimat
     (SS_between - (m - 1) MS_within) / SS [Kelley 1935, PNAS 21, 554-559]
     """
 
+    option, centred = group.astype(int), y - y.mean()
+
     def estimate(rows: Rows) -> Array:
-        groups, index = np.unique(group[rows], return_inverse=True)
-        values = y[rows]
-        means = np.bincount(index, values) / np.bincount(index)
-        total, within = (float(((values - m) ** 2).sum()) for m in (values.mean(), means[index]))
-        freedom = len(values) - len(groups)
+        options, values = option[rows], centred[rows]
+        counts, sums = np.bincount(options), np.bincount(options, values)
+        between = float((sums**2 / np.maximum(counts, 1)).sum()) - len(values) * values.mean() ** 2
+        total, groups = len(values) * float(values.var()), np.count_nonzero(counts)
+        freedom = len(values) - groups
         if total <= 0 or freedom < 1:
             return np.zeros(1)
-        return np.array([fraction * (total - within - (len(groups) - 1) * within / freedom) / total])
+        return np.array([fraction * (between - (groups - 1) * (total - between) / freedom) / total])
 
     return intervals(estimate, len(y))[0]
 
 
-def _rbd_fast(samples: OutputSamples, y: Array, fraction: float) -> list[IntervalEstimate]:
+def _rbd_fast(samples: OutputSamples, y: Array, fraction: float, sequence: bool) -> list[IntervalEstimate]:
     """First-order indices as fractions of the whole variance; zero for a factor that does not vary."""
     rng = np.random.default_rng(SEED)
-    x = np.column_stack([_shuffled_ranks(column, rng) for column in samples.x.T])
+    # ranks, because the order of equal values is then that of the samples on all computers
+    x = rankdata(samples.x, "ordinal", axis=0)
+    if sequence:
+        x = np.column_stack([_shuffled_ranks(column, rng) for column in samples.x.T])
     standard = (y - y.mean()) / y.std()
-    result = rbd_fast.analyze(problem(samples.names), x, standard, num_resamples=FAST_RESAMPLES, seed=rng)
+    resamples = min(FAST_RESAMPLES, max(FEWEST_RESAMPLES, FAST_DRAWN // len(y)))
+    result = rbd_fast.analyze(problem(samples.names), x, standard, num_resamples=resamples, seed=rng)
     indices, halves = (fraction * np.array(result[name], float) for name in ("S1", "S1_conf"))
     rows = np.column_stack([indices, indices - halves, indices + halves]).tolist()
     varied = np.ptp(samples.x, axis=0) > 0
