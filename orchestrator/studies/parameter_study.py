@@ -42,13 +42,13 @@ def sweep(
     """Run the runs of a study that its folder lacks; returns the results, with a pandas table of all runs.
 
     study      a study or the path of its TOML file
-    folder     folder of the results; default: build/sweeps/ and the name of the file or the title
+    folder     folder of the results, or its URL; default: build/sweeps/ and the name of the file or the title
     workers    number of parallel runs; default: one per core
     fresh      delete the results of a study in the folder
     watch      called before the first run and after each batch: all, finished runs, outcomes of the batch
     """
     study = study if isinstance(study, Study) else read(study)
-    folder = Path(folder) if folder else FOLDER / (Path(study.source).stem or study.title or "study")
+    folder = store.place(folder or FOLDER / (Path(study.source).stem or study.title or "study"))
     prepared = prepare(study)
     with store.locked(folder):
         if fresh:

@@ -30,6 +30,7 @@ from orchestrator.lanes.many import Runs, archives_of
 from orchestrator.ssp.system import System
 from orchestrator.studies import design
 from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve, signal
+from orchestrator.studies.design import Samples
 from orchestrator.studies.study import Output, Study
 
 NAN = float("nan")
@@ -54,7 +55,7 @@ class PreparedStudy:
     cases      the runs without the values of a sample, by options
     archives   the FMUs of all runs
     table      the samples, one row per run
-    samples    the same, in the order of the runs
+    samples    the same, in the order of the runs, each made when it is asked for
     warnings   doubtful values in the study
     """
 
@@ -62,7 +63,7 @@ class PreparedStudy:
     cases: Mapping[Options, Job]
     archives: Mapping[Location, bytes]
     table: pd.DataFrame
-    samples: Sequence[Sample]
+    samples: Samples
     warnings: tuple[str, ...] = ()
 
 
@@ -103,24 +104,24 @@ class StudyRuns:
         self._lanes = dict[Options, Lanes]()
         self.stop, self.close = self._runs.stop, self._runs.close
 
-    def units(self, samples: Sequence[Sample]) -> list[Unit]:
+    def units(self, samples: Samples) -> list[Samples]:
         """The samples that are run together: where possible groups in lanes, of samples with equal options.
 
         The groups do not depend on which samples have results already, so neither do the results.
         """
-        units = list[Unit]()
-        for options, some in grouped(samples, attrgetter("options")).items():
+        units = list[Samples]()
+        for options, some in grouped(range(len(samples)), samples.options.__getitem__).items():
             together, job = 1, self._jobs[options]
             if len(some) >= LANES:  # fewer are not worth a compilation
                 with suppress(Problem):
                     self._lanes[options] = Lanes(job, [job.system.port(n) for n in job.signals or ()])
                     together = LANES
-            units += [tuple(some[i : i + together]) for i in range(0, len(some), together)]
-        return sorted(units, key=lambda unit: unit[0].run)
+            units += [samples.at(some[i : i + together]) for i in range(0, len(some), together)]
+        return sorted(units, key=attrgetter("rows"))
 
     def run(self, unit: Unit) -> list[RunOutcome]:
         """Run samples with equal options, several in lanes. One that fails there is run again by itself."""
-        found: dict[int, RunOutcome] = {}
+        unit, found = tuple(unit), dict[int, RunOutcome]()
         if len(unit) > 1:
             with suppress(Problem):  # a value is not allowed: its own run tells the reason
                 found = self._in_lanes(unit)
