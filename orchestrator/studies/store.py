@@ -184,7 +184,7 @@ def place(folder: str | Path) -> Path:
         found.fs.invalidate_cache()  # of what other processes may have changed
     except (ImportError, ValueError) as error:  # no package for such storage
         raise Problem(f"{folder}: {error}") from None
-    return cast(Path, found)
+    return Path(found.path) if scheme == "file" else cast(Path, found)
 
 
 def finished(folder: Path) -> bool:
