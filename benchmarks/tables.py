@@ -5,9 +5,9 @@
 
 A study of build/harvester.ssp with 20 factors, whose table has 500 columns: factors, start values and 42
 outputs. Nothing is simulated: the outputs are smooth functions of the factors with noise. They go through the
-store of `harvester sweep`, in batches, then a process of its own reads the folder, analyses all outputs and
+store of `harvester sweep`, in batches, then a process of its own reads the folder, analyses some outputs and
 writes the page. Prints the rate of writing, the size of the folder, the time and the largest memory of both
-processes. With --part the analysis is that of so many outputs.
+processes.
 
 Limit: MEMORY [GB] of the process that analyses. Exit status 1 if it is missed.
 """
@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,10 +78,11 @@ def write(folder: Path, runs: int, method: str) -> None:
     told(f"written: {count / took:.0f} runs/s, {size / 1e9:.2f} GB in {len(files)} files", start)
 
 
-def analyse(folder: Path) -> None:
-    """Analyse all outputs and write the page."""
-    start = time.perf_counter()
-    page = study_page.write(folder, read_results(folder))
+def analyse(folder: Path, outputs: int) -> None:
+    """Analyse the first outputs and write the page."""
+    start, results = time.perf_counter(), read_results(folder)
+    results = replace(results, study=replace(results.study, outputs=results.study.outputs[:outputs]))
+    page = study_page.write(folder, results)
     told(f"analysed, page of {(folder / study_page.PAGE).stat().st_size / 1e6:.1f} MB", start)
     sys.stdout.write("\n".join(page.text().splitlines()[:6]) + "\n")
 
@@ -102,13 +104,17 @@ def main() -> bool:
     parser.add_argument("--runs", type=int, default=20_000)
     parser.add_argument("--method", default="latin", choices=("latin", "sobol", "saltelli", "morris"))
     parser.add_argument("--folder", type=Path, help="of the study, which stays; an earlier one is analysed")
+    parser.add_argument("--outputs", type=int, default=3, help="that are analysed")
     parser.add_argument("--step", choices=("write", "analyse"), help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.step:
-        write(given.folder, given.runs, given.method) if given.step == "write" else analyse(given.folder)
+        write(given.folder, given.runs, given.method) if given.step == "write" else analyse(
+            given.folder, given.outputs
+        )
         return True
     folder = given.folder or Path(tempfile.mkdtemp(prefix="tables-"))
     command = [sys.executable, "-m", "benchmarks.tables", "--runs", str(given.runs), "--method", given.method]
+    command += ["--outputs", str(given.outputs)]
     try:
         if not store.finished(folder):
             subprocess.run([*command, "--folder", str(folder), "--step", "write"], check=True)

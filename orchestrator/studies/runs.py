@@ -110,7 +110,7 @@ class StudyRuns:
         The groups do not depend on which samples have results already, so neither do the results.
         """
         units = list[Samples]()
-        for options, some in grouped(range(len(samples)), samples.options.__getitem__).items():
+        for options, some in grouped(samples.rows, samples.options.__getitem__).items():
             together, job = 1, self._jobs[options]
             if len(some) >= LANES:  # fewer are not worth a compilation
                 with suppress(Problem):

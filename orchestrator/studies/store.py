@@ -31,7 +31,7 @@ from dataclasses import asdict, dataclass
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import locket
 import numpy as np
@@ -54,7 +54,6 @@ from orchestrator.studies.study import Choice, Factor, Output, Study
 
 TABLES = RUNS, BANDS = "runs.parquet", "bands.parquet"
 NAMES = (*TABLES, "report.html", "analysis.json")
-PARTS = "part-*.parquet"  # files of a table
 RESULT = ("run", "status", "reason", "energy_error")  # columns of runs.parquet, before those of the study
 MOST_VALUES = 1 << 22, 1 << 23  # of a file of each table: some megabytes, as most start values are equal
 CHUNK = 10_000  # runs whose samples are text at once
@@ -184,13 +183,13 @@ def place(folder: str | Path) -> Path:
         found.fs.invalidate_cache()  # of what other processes may have changed
     except (ImportError, ValueError) as error:  # no package for such storage
         raise Problem(f"{folder}: {error}") from None
-    return Path(found.path) if scheme == "file" else cast(Path, found)
+    return Path(found.path) if scheme == "file" else found
 
 
 def finished(folder: Path) -> bool:
     """Whether all runs are done and the results are written."""
-    if (folder / RUNS).is_file() or not (folder / RUNS).exists():  # a file of an earlier version
-        return (folder / RUNS).exists()
+    if not (folder / RUNS).is_dir() or not (folder / "study.json").exists():
+        return (folder / RUNS).is_file()  # of an earlier version
     stored = _read_study_json(folder / "study.json")
     study = from_json(stored["study"], "")
     return len(_written(folder, study)) == -(-study.count // int(stored["range"]))
@@ -249,7 +248,7 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        lock.release() if isinstance(folder, Path) else file.unlink()
+        lock.release() if isinstance(folder, Path) else file.unlink(missing_ok=True)
 
 
 class Store:

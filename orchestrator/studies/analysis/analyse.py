@@ -52,7 +52,7 @@ def analyse(results: Results) -> Analysis:
         notes.append(NOTES[study.method])
     of = design(results)
     findings = tuple(_analyse_output(results, output, of) for output in study.outputs)
-    counts = sum(map(len, of.rows)), len(done(results))
+    counts = sum(map(len, of[0])), len(done(results))
     return Analysis(study.title, study.method, *counts, failures(results), findings, tuple(notes))
 
 

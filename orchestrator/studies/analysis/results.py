@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -257,20 +257,14 @@ def done(results: Results, *columns: str) -> pd.DataFrame:
     return runs[runs["status"] == Status.OK]
 
 
-@dataclass(frozen=True)
-class Design:
-    """The samples of a study.
-
-    rows   rows of the table in the order of the samples, for each combination of crossed choices
-    x      as of `OutputSamples`
-    """
-
-    rows: Sequence[NDArray[np.intp]]
-    x: Array
+Design = tuple[list[NDArray[np.intp]], Array]
 
 
 def design(results: Results) -> Design:
-    """The samples; each was run in each combination of crossed choices, in the same order."""
+    """Rows of the table for each combination of crossed choices, in the order of the samples, and their x.
+
+    Each sample was run in each combination, in the same order. x: as of `OutputSamples`.
+    """
     study = results.study
     runs = results.columns("run", *(c.column for c in (*study.crossed, *study.dimensions)))
     blocks = [np.argsort(runs["run"].to_numpy(), kind="stable")]
@@ -289,16 +283,16 @@ def design(results: Results) -> Design:
         if isinstance(dimension, Choice):
             column = column.astype(str).map(dimension.options.index)
         x[:, i] = column.to_numpy(float)[blocks[0]]
-    return Design(blocks, x)
+    return blocks, x
 
 
 def samples(results: Results, output: Output, of: Design | None = None) -> OutputSamples:
     """Values of an output; `of` saves reading the samples again."""
-    of = of or design(results)
+    rows, x = of or design(results)
     runs = results.columns("status", output.column)
     values = runs[output.column].where(runs["status"] == Status.OK).to_numpy(float)
-    y = np.column_stack([values[block] for block in of.rows])
-    return OutputSamples(results.study.dimensions, of.x, y, results.study.crossed)
+    y = np.column_stack([values[block] for block in rows])
+    return OutputSamples(results.study.dimensions, x, y, results.study.crossed)
 
 
 def rank_correlations(samples: OutputSamples, y: Array) -> list[float | None]:
