@@ -54,6 +54,7 @@ from orchestrator.studies.study import Choice, Factor, Output, Study
 
 TABLES = RUNS, BANDS = "runs.parquet", "bands.parquet"
 NAMES = (*TABLES, "report.html", "analysis.json")
+PARTS = "part-*.parquet"  # files of a table
 RESULT = ("run", "status", "reason", "energy_error")  # columns of runs.parquet, before those of the study
 MOST_VALUES = 1 << 22, 1 << 23  # of a file of each table: some megabytes, as most start values are equal
 CHUNK = 10_000  # runs whose samples are text at once
@@ -138,7 +139,7 @@ def _frame(table: Any, names: Sequence[str] = (), runs: Array | None = None) -> 
 
 def _parts(table: Path) -> list[Path]:
     """The files of a table, in the order of the runs; one in a folder of an earlier version."""
-    return [table] if table.is_file() else sorted(table.glob("part-*.parquet"))
+    return [table] if table.is_file() else sorted(table.glob(PARTS))
 
 
 @contextmanager
@@ -198,7 +199,8 @@ def finished(folder: Path) -> bool:
 def _written(folder: Path, study: Study) -> set[int]:
     """The ranges of runs that have a file in each table."""
     tables = [folder / name for name in (TABLES if study.bands else (RUNS,))]
-    return set[int].intersection(*({int(file.stem.split("-")[1]) for file in _parts(t)} for t in tables))
+    found = [{int(file.stem.removeprefix("part-")) for file in table.glob(PARTS)} for table in tables]
+    return set[int].intersection(*found)
 
 
 def clear(folder: Path) -> None:
