@@ -81,7 +81,8 @@ def write(folder: Path, runs: int, method: str) -> None:
 def analyse(folder: Path, outputs: int) -> None:
     """Analyse the first outputs and write the page."""
     start, results = time.perf_counter(), read_results(folder)
-    results = replace(results, study=replace(results.study, outputs=results.study.outputs[:outputs]))
+    study = replace(results.study, outputs=results.study.outputs[:outputs])
+    results = store.Results(study, vars(results)["table"], None, results.units)  # `replace` reads the table
     page = study_page.write(folder, results)
     told(f"analysed, page of {(folder / study_page.PAGE).stat().st_size / 1e6:.1f} MB", start)
     sys.stdout.write("\n".join(page.text().splitlines()[:6]) + "\n")
