@@ -714,7 +714,11 @@ def write_zip(path: Path, content: Mapping[str, bytes]) -> None:
 def write_whole(path: Path, content: bytes | str) -> Path:
     """Write a file as `put` does, a text with the same bytes on every platform."""
     data = content.encode() if isinstance(content, str) else content
-    return put(path, lambda file: file.write_bytes(data))
+    if isinstance(path, Path):
+        return put(path, lambda file: file.write_bytes(data))
+    with naming(path):  # at a URL, where each file is written whole
+        path.write_bytes(data)
+    return path
 
 
 def put(path: Path, write: Callable[[Path], object]) -> Path:

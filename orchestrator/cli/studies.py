@@ -170,7 +170,7 @@ def _file(name: str) -> Path:
 @command
 def sweep(
     study: Annotated[Path, Kind("STUDY.toml", positional=True)],
-    out: Folder | None = None,
+    out: Annotated[str | None, Kind("DIR")] = None,
     workers: Annotated[int | None, Kind("N", least=1)] = None,
     scheduler: Annotated[str | None, Kind("URL")] = None,
     fresh: bool = False,
@@ -182,7 +182,7 @@ def sweep(
     is reliable.
 
     study       Description of the study: what is varied, what is run, and which results are kept.
-    out         Folder of the results; default: build/sweeps/STUDY.
+    out         Folder of the results, or its URL such as s3://bucket/study; default: build/sweeps/STUDY.
     workers     Number of runs at the same time on this computer; default: one per core.
     scheduler   Run on this Dask cluster instead, such as tcp://host:8786; default: this computer.
     fresh       Delete earlier results in DIR and start again.
@@ -191,17 +191,18 @@ def sweep(
     require("sweep", "harvester sweep")
     from orchestrator.lanes.group import Status
     from orchestrator.studies import parameter_study, read_study
+    from orchestrator.studies.store import RUNS, place
 
     chosen = read_study(study)
     tell_built(chosen.system_file, {})
     if workers and scheduler:
         cluster = "whose cluster determines the number of workers"
         raise Problem(f"--workers: expected none with --scheduler, {cluster}")
-    folder = out or parameter_study.FOLDER / study.stem
+    folder = place(out or parameter_study.FOLDER / study.stem)
     run = partial(parameter_study.sweep, workers=workers, scheduler=scheduler, fresh=fresh)
     with parameter_study.progress() as watch:
         results = run(chosen, folder, watch=watch)
-    table = results.table
+    status = results.columns("status")["status"]
     if no_report:
         from orchestrator.studies.analysis.results import counts, failures
         from orchestrator.studies.study_page import causes
@@ -212,7 +213,7 @@ def sweep(
         from orchestrator.studies import study_page
 
         print(study_page.write(folder, results).text())
-    print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")
+    print(f"\n{folder / RUNS}: {len(status)} runs, {len(results.dataset.schema)} columns")
     if not no_report:
         print(f"report: {folder / study_page.PAGE}")
-    return not table["status"].isin((Status.FAILED, Status.NOT_RELIABLE)).all()
+    return not status.isin((Status.FAILED, Status.NOT_RELIABLE)).all()

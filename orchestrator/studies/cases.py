@@ -44,7 +44,7 @@ class Sample:
     factors: Mapping[str, Value]
 
 
-Unit = tuple[Sample, ...]  # samples that are run together: one, or a group in lanes with the same options
+Unit = Sequence[Sample]  # samples that are run together: one, or a group in lanes with the same options
 
 
 def resolve(study: Study) -> tuple[Study, dict[Options, Job]]:

@@ -11,7 +11,8 @@ function at the sample, so every method supports every distribution.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -24,6 +25,7 @@ from scipy.stats import qmc
 
 from orchestrator.data.table import Array
 from orchestrator.engine.job import Job
+from orchestrator.fmi.description import Value
 from orchestrator.ssp.system import Port, coerce
 from orchestrator.studies.cases import Options, Sample, is_real, nominals
 from orchestrator.studies.study import START, Choice, Factor, Study, levels
@@ -119,17 +121,51 @@ def _index(u: Array, count: int) -> NDArray[np.intp]:
 # ---- the runs
 
 
-def runs(study: Study, table: pd.DataFrame, cases: Mapping[Options, Job]) -> list[Sample]:
+@dataclass(frozen=True)
+class Samples(Sequence[Sample]):
+    """Runs of a study, each made when it is asked for: a million would take gigabytes.
+
+    rows      their numbers
+    options   of all runs of the study
+    values    makes the values of the factors from the number and the options of a run
+    """
+
+    rows: Sequence[int]
+    options: Sequence[Options]
+    values: Callable[[int, Options], Mapping[str, Value]]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, index: Any) -> Any:
+        """A sample, or those of a slice."""
+        if isinstance(index, slice):
+            return self.at(self.rows[index])
+        run = self.rows[index]
+        return Sample(run, self.options[run], self.values(run, self.options[run]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return tuple, ([*self],)  # other processes get what they need
+
+    def at(self, rows: Sequence[int]) -> Samples:
+        """The runs with these numbers."""
+        return replace(self, rows=rows)
+
+
+def runs(study: Study, table: pd.DataFrame, cases: Mapping[Options, Job]) -> Samples:
     """The runs of a study in the order of its table; relative numbers become values."""
     scales = {o: nominals(study, case.system) for o, case in cases.items()}
     integers = {o: {n for n in scales[o] if not is_real(case.system, n)} for o, case in cases.items()}
-    options = list(zip(*(table[c.column] for c in study.choices), strict=True)) or [()] * len(table)
+    same: dict[Options, Options] = {}  # one object for all runs with equal options
+    each = zip(*(table[c.column] for c in study.choices), strict=True)
+    options = [same.setdefault(o, o) for o in each] or [()] * len(table)
     columns = {f.name: table[f.column].to_numpy() for f in study.factors}
-    samples = []
-    for index, chosen in enumerate(options):
-        values = {n: float(columns[n][index]) * scale for n, scale in scales[chosen].items()}
-        samples.append(Sample(index, chosen, values | {n: int(values[n]) for n in integers[chosen]}))
-    return samples
+
+    def values(run: int, chosen: Options) -> Mapping[str, Value]:
+        found = {n: float(columns[n][run]) * scale for n, scale in scales[chosen].items()}
+        return found | {n: int(found[n]) for n in integers[chosen]}
+
+    return Samples(range(len(table)), options, values)
 
 
 def starts(
@@ -140,10 +176,11 @@ def starts(
     One row per sample; a column `start:component.variable` for each variable that can be set in some case.
     Inputs with a connection or a column of a scenario are left out; null: the variant lacks the variable.
     """
+    samples = [*samples]
     rows: dict[Options, list[int]] = {options: [] for options in cases}
     for i, sample in enumerate(samples):
         rows[sample.options].append(i)
-    types, columns, units = dict[str, pa.DataType](), dict[str, list[Any]](), dict[str, str]()
+    types, columns, units = dict[str, pa.DataType](), dict[str, NDArray[np.object_]](), dict[str, str]()
     for options, case in cases.items():
         names = [f.name for f in study.factors if case.system.has(f.name)]
         varied = {port: (name, linear) for name in names for port, linear in case.system.targets(name)}
@@ -152,7 +189,7 @@ def starts(
             types[name] = TYPES.get(variable.kind, pa.string())
             if variable.unit:
                 units[name] = variable.unit.name
-            column = columns.setdefault(name, [None] * len(samples))
+            column = columns.setdefault(name, np.full(len(samples), None))
             if port in varied:
                 factor, conversion = varied[port]
                 for i in rows[options]:
@@ -160,8 +197,7 @@ def starts(
             else:
                 constant = case.system.components[port.component].value(port.variable)
                 value = None if isinstance(constant, float) and np.isnan(constant) else constant
-                for i in rows[options]:
-                    column[i] = value
+                column[rows[options]] = value
     return {name: pa.array(columns[name], types[name]) for name in columns}, units
 
 

@@ -47,7 +47,7 @@ def sweep(
     """Run the runs of a study that its folder lacks; returns the results, with a pandas table of all runs.
 
     study      a study or the path of its TOML file
-    folder     folder of the results; default: build/sweeps/ and the name of the file or the title
+    folder     folder of the results, or its URL; default: build/sweeps/ and the name of the file or the title
     workers    number of parallel runs on this computer; default: one per core
     scheduler  address of a Dask cluster for the runs, such as tcp://host:8786
     client     a connection to a Dask cluster for the runs; it stays open
@@ -55,7 +55,7 @@ def sweep(
     watch      called before the first run and after each batch: all, finished runs, outcomes of the batch
     """
     study = study if isinstance(study, Study) else read(study)
-    folder = Path(folder) if folder else FOLDER / (Path(study.source).stem or study.title or "study")
+    folder = store.place(folder or FOLDER / (Path(study.source).stem or study.title or "study"))
     prepared = prepare(study)
     with ExitStack() as stack:
         if not client and (fresh or not store.finished(folder)):
@@ -92,7 +92,7 @@ def _run_missing(prepared: PreparedStudy, results: store.Store, where: int | Cli
     try:
         with closing(StudyRuns(prepared)) as runs:
             units = runs.units(prepared.samples, compiles(where))
-            missing = [unit for unit in units if any(sample.run not in done for sample in unit)]
+            missing = [unit for unit in units if any(run not in done for run in unit.rows)]
             many(runs, missing, keep, where, STORE_TIME)
     except (KeyboardInterrupt, ClusterLost) as end:
         stored = f"{len(results.done())} of {total} runs are stored in {results.folder}"

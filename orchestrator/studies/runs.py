@@ -31,6 +31,7 @@ from orchestrator.lanes.many import Runs, archives_of
 from orchestrator.ssp.system import System
 from orchestrator.studies import design
 from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve, signal
+from orchestrator.studies.design import Samples
 from orchestrator.studies.study import Output, Study
 
 NAN = float("nan")
@@ -55,7 +56,7 @@ class PreparedStudy:
     cases      the runs without the values of a sample, by options
     archives   the FMUs of all runs
     table      the samples, one row per run
-    samples    the same, in the order of the runs
+    samples    the same, in the order of the runs, each made when it is asked for
     warnings   doubtful values in the study
     """
 
@@ -63,7 +64,7 @@ class PreparedStudy:
     cases: Mapping[Options, Job]
     archives: Mapping[Location, bytes]
     table: pd.DataFrame
-    samples: Sequence[Sample]
+    samples: Samples
     warnings: tuple[str, ...] = ()
 
 
@@ -112,7 +113,8 @@ class StudyRuns:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Opened anew, without the samples."""
-        prepared = replace(self._prepared, table=self._prepared.table[:0], samples=())
+        given = self._prepared
+        prepared = replace(given, table=given.table[:0], samples=given.samples.at(()))
         return StudyRuns, (prepared, tuple(self._lanes))
 
     @property
@@ -120,21 +122,21 @@ class StudyRuns:
         """Are some in lanes?"""
         return bool(self._lanes)
 
-    def units(self, samples: Sequence[Sample], lanes: bool = True) -> list[Unit]:
+    def units(self, samples: Samples, lanes: bool = True) -> list[Samples]:
         """The samples that are run together: where possible groups in lanes, of samples with equal options.
 
         The groups do not depend on which samples have results already, nor on the workers of a cluster, so
         neither do the results. lanes: False if such a worker has no compiler.
         """
-        units = list[Unit]()
-        for options, some in grouped(samples, attrgetter("options")).items():
+        units = list[Samples]()
+        for options, some in grouped(range(len(samples)), samples.options.__getitem__).items():
             together = 1
             if lanes and len(some) >= LANES:  # fewer are not worth a compilation
                 with suppress(Problem):
                     self._lanes[options] = self._lanes_of(options)
                     together = LANES
-            units += [tuple(some[i : i + together]) for i in range(0, len(some), together)]
-        return sorted(units, key=lambda unit: unit[0].run)
+            units += [samples.at(some[i : i + together]) for i in range(0, len(some), together)]
+        return sorted(units, key=attrgetter("rows"))
 
     def _lanes_of(self, options: Options, generated: bool = False) -> Lanes:
         job = self._jobs[options]
@@ -146,7 +148,7 @@ class StudyRuns:
 
     def run(self, unit: Unit) -> list[RunOutcome]:
         """Run samples with equal options, several in lanes. One that fails there is run again by itself."""
-        found: dict[int, RunOutcome] = {}
+        unit, found = tuple(unit), dict[int, RunOutcome]()
         if len(unit) > 1:
             with suppress(Problem):  # a value is not allowed: its own run tells the reason
                 found = self._in_lanes(unit)

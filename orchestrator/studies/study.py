@@ -36,7 +36,7 @@ METHODS: tuple[Method, ...] = get_args(Method)
 MEASURES: tuple[Measure, ...] = get_args(Measure)
 BALANCED = ("sobol", "saltelli")  # methods whose samples are balanced only if their number is a power of two
 START = "start:"  # prefix of the columns with start values
-MOST_RUNS = 1_000_000  # the table of all runs then takes some gigabytes
+MOST_RUNS = 1_000_000  # the table of all runs then has some gigabytes
 # [s] for one run: far more than runs of a study take. Without a limit, an FMU that hangs holds up its core.
 # A multiple of the duration of other runs would depend on the load of the machine.
 TIME_LIMIT = 3600.0

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit, name_with_unit
 from orchestrator.data.table import Array
@@ -44,6 +45,8 @@ from orchestrator.studies.study import START, Choice, Factor, Output, short
 
 LIGHT, DARK = zip(*PALETTE.pairs, strict=True)  # of the options of a choice
 HEIGHT = 4.2  # of a panel
+DOTS = 100_000  # of a scatter plot, before the page thins them
+POINTS = 10_000_000  # of a stored signal from which bands are drawn: 80 MB a column
 QUANTILE = {"color": PALETTE.ink, "linewidth": 1.0, "linestyle": (0, (4, 2))}
 PANELS = 4  # of the factors with the largest effects
 BINS = 12
@@ -55,14 +58,17 @@ def scatter(
     """Factor -> all runs over it, in the order of the tornado; empty if no factor was varied."""
     by_name = {f.name: f for f in results.study.factors}
     top = [by_name[e.name] for e in sensitivity.effects if e.name in by_name][:PANELS]
-    runs, choice = done(results).dropna(subset=[output.column]), colouring(results, sensitivity)
-    y, figures = analysed.display.factor * runs[output.column].to_numpy(float), dict[str, TraceFigure]()
+    choice, figures = colouring(results, sensitivity), dict[str, TraceFigure]()
+    columns = [output.column, *(f.column for f in top), *([choice.column] if choice else [])]
+    runs = done(results, *columns).dropna(subset=[output.column])
+    y = analysed.display.factor * runs[output.column].to_numpy(float)
+    kept = evenly(len(runs), DOTS)
     for factor in top:
         unit = factor_unit(factor)
         x = unit.factor * runs[factor.column].to_numpy(float)
         dots = [
-            TraceLine(x[rows], y[rows], {"color": colour, "marker": "o", "alpha": 0.5}, name)
-            for (name, rows), colour in zip(_groups(runs, choice), DARK, strict=False)
+            TraceLine(x[kept][rows], y[kept][rows], {"color": colour, "marker": "o", "alpha": 0.5}, name)
+            for (name, rows), colour in zip(_groups(runs.iloc[kept], choice), DARK, strict=False)
         ]
         if shows_medians(results):
             dots.append(TraceLine(*medians(x, y), {"color": PALETTE.ink, "linewidth": 1.8}, "median"))
@@ -70,6 +76,11 @@ def scatter(
         panel = TracePanel(analysed.display.display, dots, output.name, heights=(HEIGHT, 0.0))
         figures[factor.name] = TraceFigure([panel], axis=name_with_unit(varied, unit.display))
     return figures
+
+
+def evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Indices of at most so many of `count` items, at equal distances."""
+    return np.linspace(0, count - 1, min(count, most)).astype(np.intp)
 
 
 def _groups(runs: pd.DataFrame, choice: Choice | None) -> list[tuple[str, Array]]:
@@ -112,7 +123,8 @@ def histogram(
     results: Results, output: Output, analysed: OutputAnalysis, choice: Choice | None
 ) -> TraceFigure:
     """Histogram of an output, options stacked, with lines at the 5, 50 and 95 % quantiles."""
-    runs = done(results).dropna(subset=[output.column])
+    columns = [output.column, *([choice.column] if choice else [])]
+    runs = done(results, *columns).dropna(subset=[output.column])
     values = analysed.display.factor * runs[output.column].to_numpy(float)
     edges = np.histogram_bin_edges(values, bins=min(50, max(8, round(len(values) ** 0.5))))
     lines, below = list[TraceLine](), np.zeros(len(edges) - 1)
@@ -133,14 +145,13 @@ EXTREMES = "smallest and largest"
 
 def bands(results: Results, signal: str, unit: DisplayUnit, choice: Choice | None) -> TraceFigure:
     """Median, 5 to 95 % and extremes over the runs at each time; a colour per option, of four at most."""
-    runs = done(results)
-    assert results.bands is not None  # called only if signals are stored
+    runs = drawn_runs(results, choice)
     lines, areas = list[TraceLine](), list[TraceArea]()
     key: dict[str, Mapping[str, Any]] = {}
     groups = _groups(runs, choice)
     missing = ", ".join(name for name, _ in groups[len(DARK) :])
     for i, (name, rows) in enumerate(groups[: len(DARK)]):
-        samples = results.bands[results.bands["run"].isin(runs["run"][rows])]
+        samples = results.stored(signal, runs["run"][rows].to_numpy())
         if samples.empty:
             continue
         time, values = quantiles(samples, signal)
@@ -157,6 +168,12 @@ def bands(results: Results, signal: str, unit: DisplayUnit, choice: Choice | Non
     panel = TracePanel(unit.display, lines, signal, areas=areas, heights=(4.2, 0.0))
     below = f"not drawn: {missing}; there are colours for {len(DARK)} options" if missing else ""
     return TraceFigure([panel], key=tuple(key.items()), below=below)
+
+
+def drawn_runs(results: Results, choice: Choice | None) -> pd.DataFrame:
+    """The finished runs; if their signals have more than POINTS, some of the runs."""
+    runs = done(results, "run", *([choice.column] if choice else []))
+    return runs.iloc[evenly(len(runs), max(1, len(runs) * POINTS // max(results.points, 1)))]
 
 
 def quantiles(samples: pd.DataFrame, signal: str) -> tuple[Array, Array]:
@@ -248,7 +265,7 @@ def study_report(results: Results, analysis: Analysis) -> Report:
         Table(_outputs(analysis)),
         Text([f"warning: {w}" for w in results.warnings], only=TERMINAL),
         *sections,
-        *(Section(f"{name} over time", [Text([BANDS], "soft"), *drawn]) for name, drawn in _bands(results)),
+        *(Section(f"{name} over time", drawn) for name, drawn in _bands(results)),
         Section("Failed runs", [Text([left_out] if failed else []), Table(_failures(results, analysis))]),
         Section("Factors and choices", _varied(results, analysis), folded=True),
         Section("Definition of the study", [Facts(single)], folded=True),
@@ -400,29 +417,29 @@ def _figures(results: Results, output: Output, analysed: OutputAnalysis) -> list
     if analysed.spread is not None and not analysed.constant:
         drawn = histogram(results, output, analysed, colouring(results, sensitivity))
         figures.append(Figure(drawn, f"Distribution of {name}", heading="Distribution"))
-    if sensitivity is not None:
+    if sensitivity is not None and analysed.spread is not None:
         line = "; the line is the median" if shows_medians(results) else ""
         figures += [
-            Figure(drawn, f"{name} over {factor}", f"{_dots(drawn)}{line}.", f"Over {factor}")
+            Figure(drawn, f"{name} over {factor}", f"{_dots(analysed.spread.runs)}{line}.", f"Over {factor}")
             for factor, drawn in scatter(results, output, analysed, sensitivity).items()
         ]
     return figures
 
 
-def _dots(drawn: TraceFigure) -> str:
+def _dots(runs: int) -> str:
     """Which runs have a dot."""
-    runs = sum(len(line.time) for line in drawn.panels[0].lines if "marker" in line.style)
     return f"Dots for {MARKS} of {runs} runs" if runs > MARKS else "A dot for each run"
 
 
-def _bands(results: Results) -> Iterator[tuple[str, list[Figure]]]:
+def _bands(results: Results) -> Iterator[tuple[str, list[Part]]]:
     """Figures of each stored signal: all runs, then one figure per choice."""
-    if results.bands is None or results.bands.empty or done(results).empty:
+    if not results.points or (runs := drawn_runs(results, None)).empty:
         return
+    count = len(done(results))
+    text = Text([f"{BANDS}, drawn from {len(runs)} of {count} runs" if len(runs) < count else BANDS], "soft")
     for signal in results.study.bands:
-        unit = display_unit(results.units.get(signal, ""), float(results.bands[signal].abs().max()))
+        values = results.stored(signal, runs["run"].to_numpy())[signal]
+        unit = display_unit(results.units.get(signal, ""), float(values.abs().max()))
         cases = [("all runs", None), *((f"by {choice.name}", choice) for choice in results.study.compared)]
-        yield (
-            signal,
-            [Figure(bands(results, signal, unit, c), f"{signal}, {name}", heading=name) for name, c in cases],
-        )
+        figures = (Figure(bands(results, signal, unit, c), f"{signal}, {n}", heading=n) for n, c in cases)
+        yield signal, [text, *figures]

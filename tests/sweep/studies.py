@@ -65,4 +65,5 @@ def run(file: Path, folder: str = "out", workers: int = 1, fresh: bool = False) 
 
 def content(folder: Path) -> Mapping[str, bytes]:
     """What must not depend on how a study was run, byte by byte."""
-    return {file.name: file.read_bytes() for file in sorted(folder.glob("*.parquet"))}
+    files = sorted(folder.glob("*.parquet/*"))
+    return {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}

@@ -152,4 +152,4 @@ def test_at_most_two_thousand_dots_are_embedded(runs: int) -> None:
     counts = [columns[0] for columns in spec["columns"][::2]]
     assert sum(counts) == 2000
     assert counts[0] == pytest.approx(501 * 2000 / runs, abs=1)  # a whole number
-    assert _dots(figure) == ("A dot for each run" if runs == 2000 else "Dots for 2000 of 2003 runs")
+    assert _dots(runs) == ("A dot for each run" if runs == 2000 else "Dots for 2000 of 2003 runs")

@@ -53,7 +53,7 @@ def begun(file):
 def test_a_finished_study_is_not_run_again(done):
     """No run takes place, and nothing is written anew; another title changes no result."""
     before = content(done.parent / "out")
-    assert set(before) == {"runs.parquet", "bands.parquet"}
+    assert set(before) == {"runs.parquet/part-000000.parquet", "bands.parquet/part-000000.parquet"}
     done.write_text(GAIN.replace("A gain", "Another title"), encoding="utf-8")
     results, runs = run(done)
     assert runs == []
@@ -136,20 +136,24 @@ def test_a_part_that_is_damaged_while_the_study_runs_is_refused(begun, rows):
     begun.add([rows[0]])
     (part,) = (begun.folder / "parts").iterdir()
     part.write_bytes(part.read_bytes()[:-1])
-    problem(begun.done, r"batch-000000000-\w+.parquet: [^\n]+ repeats its runs$")
+    problem(begun.forget_stopped, r"batch-000000000-\w+.parquet: [^\n]+ repeats its runs$")
 
 
-@pytest.mark.parametrize("name", ["runs.parquet", "bands.parquet"])
-def test_damaged_results_are_refused(done, name):
+@pytest.mark.parametrize(("name", "read"), [("runs.parquet", "table"), ("bands.parquet", "bands")])
+def test_damaged_results_are_refused(done, name, read):
     """A flipped bit in a stored value is one line, not another result."""
-    path = done.parent / "out" / name
-    data = bytearray(path.read_bytes())
-    data[60] ^= 1  # in the first page
-    path.write_bytes(data)
-    problem(
-        lambda: run(done),
-        rf"{name}: expected a Parquet file, got a damaged one [^\n]+; --fresh computes the study again$",
-    )
+    path = done.parent / "out" / name / "part-000000.parquet"
+    whole = path.read_bytes()
+    for data in (whole[:60] + bytes([whole[60] ^ 1]) + whole[61:], whole[: len(whole) // 2]):
+        path.write_bytes(data)  # a bit in the first page, and an end that is missing
+        problem(
+            lambda: getattr(run(done)[0], read),
+            rf"out/{name}/part-000000.parquet: expected a Parquet file, got a damaged one [^\n]+; without it,"
+            " the same command computes its runs again, and --fresh the whole study$",
+        )
+    path.unlink()
+    assert run(done)[1] == ALL
+    assert path.read_bytes() == whole
 
 
 @pytest.mark.parametrize("fresh", [False, True])

@@ -14,6 +14,8 @@ from kit import shards
 from kit.wait import until
 from sweep.studies import GAIN, content, run, study
 
+from orchestrator.studies import store
+
 pytestmark = shards.faults
 
 RUNS = 120
@@ -49,7 +51,7 @@ def stopped(file, out, stop, begun="parts/batch-*.parquet", most=RUNS):
         children = psutil.Process(process.pid).children()
         stop(process.pid)
         told, wrong = process.communicate()
-        if not (out / "runs.parquet").exists() and len(kept(out)) < most:
+        if not store.finished(out) and len(kept(out)) < most:
             return process.returncode, children, told, wrong
         shutil.rmtree(out)
     pytest.fail("ten times the study was over before it was stopped")
@@ -69,7 +71,7 @@ def test_killed_and_started_again_the_content_is_the_same(long):
     assert psutil.wait_procs(children, timeout=60)[1] == []  # they see that nobody asks them any more
     there = kept(out)
     assert 0 < len(there) < RUNS
-    assert not (out / "runs.parquet").exists()
+    assert not store.finished(out)
     _, runs = run(file, "killed")
     assert runs == sorted(set(range(RUNS)) - there)
     assert content(out) == undisturbed

@@ -21,12 +21,14 @@ from orchestrator.studies.analysis.results import (
     REGRESSION,
     TOTAL,
     Analysis,
+    Design,
     Effect,
     IntervalEstimate,
     OutputAnalysis,
     OutputSamples,
     Sensitivity,
     Spread,
+    design,
     done,
     failures,
     samples,
@@ -48,8 +50,9 @@ def analyse(results: Results) -> Analysis:
     notes = [*results.warnings, *_missing_factors(results), *_where_failed(results)]
     if study.method in NOTES:
         notes.append(NOTES[study.method])
-    findings = tuple(_analyse_output(results, output) for output in study.outputs)
-    counts = len(results.table), len(done(results))
+    of = design(results)
+    findings = tuple(_analyse_output(results, output, of) for output in study.outputs)
+    counts = sum(map(len, of[0])), len(done(results))
     return Analysis(study.title, study.method, *counts, failures(results), findings, tuple(notes))
 
 
@@ -68,10 +71,10 @@ def _missing_factors(results: Results) -> list[str]:
     notes = []
     for factor in results.study.factors:
         column = START + factor.name
-        if column not in results.table:  # so if the factor sets several variables
+        if column not in results.dataset.schema.names:  # so if the factor sets several variables
             continue
         for choice in results.study.choices:
-            values = results.table.groupby(choice.column)[column].count()
+            values = results.columns(choice.column, column).groupby(choice.column)[column].count()
             lacking = [o for o in choice.options if values.get(o, 0) == 0]
             if lacking and len(lacking) < len(choice.options):
                 where = f"{choice.name} {', '.join(lacking)}"
@@ -81,11 +84,11 @@ def _missing_factors(results: Results) -> list[str]:
 
 def _where_failed(results: Results) -> list[str]:
     """Notes on factors that differ between failed and other runs, by Mann-Whitney tests."""
-    failed = (results.table["status"] != Status.OK).to_numpy()
+    failed = (results.columns("status")["status"] != Status.OK).to_numpy()
     notes: list[str] = []
     enough = min(failed.sum(), (~failed).sum()) >= FEWEST_RUNS
     for factor in results.study.factors if enough else ():
-        values = results.table[factor.column].to_numpy(float)
+        values = results.columns(factor.column)[factor.column].to_numpy(float)
         of_failed, of_others = values[failed], values[~failed]
         test = mannwhitneyu(of_failed, of_others)
         if test.pvalue < SIGNIFICANCE / len(results.study.factors):
@@ -94,9 +97,10 @@ def _where_failed(results: Results) -> list[str]:
     return notes
 
 
-def _analyse_output(results: Results, output: Output) -> OutputAnalysis:
+def _analyse_output(results: Results, output: Output, of: Design) -> OutputAnalysis:
     """Distribution of one output over all runs and by option, and its sensitivity."""
-    study, completed = results.study, done(results)
+    study = results.study
+    completed = done(results, output.column, *(c.column for c in study.compared))
     values = completed[output.column].to_numpy(float)
     overall, missing = spread(values), int((~np.isfinite(values)).sum())
     by_choice = {}
@@ -113,16 +117,16 @@ def _analyse_output(results: Results, output: Output) -> OutputAnalysis:
     elif not study.factors and not study.compared:
         result = "nothing was varied"
     else:
-        result = _sensitivity(study, samples(results, output))
+        result = _sensitivity(study, samples(results, output, of))
     notes = [result] if isinstance(result, str) else []
     if missing and overall is not None:
         runs = "1 run" if missing == 1 else f"{missing} runs"
         notes.append(
             f"{runs} finished without a finite value of this output; the sensitivity treats this as a failure"
         )
-    of = output.name, output.signal, output.measure, (output.start, output.stop), output.unit
+    what = output.name, output.signal, output.measure, (output.start, output.stop), output.unit
     found = None if isinstance(result, str) else result
-    return OutputAnalysis(*of, overall, by_choice, constant, found, tuple(notes))
+    return OutputAnalysis(*what, overall, by_choice, constant, found, tuple(notes))
 
 
 def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:

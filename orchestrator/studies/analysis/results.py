@@ -192,15 +192,16 @@ def without_numbers(reasons: pd.Series) -> pd.Series:
 
 def counts(results: Results) -> str:
     """The number of runs of each status, such as `12 runs: 10 ok, 2 failed`."""
-    found = results.table["status"].value_counts()
+    found = results.columns("status")["status"].value_counts()
     words = (Status.OK, Status.NOT_RELIABLE, Status.EARLY, Status.FAILED)
     statuses = ", ".join(f"{found[status]} {status}" for status in words if status in found)
-    return f"{len(results.table)} runs: {statuses}"
+    return f"{found.sum()} runs: {statuses}"
 
 
 def failures(results: Results) -> tuple[Failure, ...]:
     """Failed runs by reason, the most frequent first; reasons that differ only in numbers are merged."""
-    failed = results.table[results.table["status"] != Status.OK].sort_values("run")
+    runs = results.columns("run", "status", "reason", *(c.column for c in results.study.compared))
+    failed = runs[runs["status"] != Status.OK].sort_values("run")
     reasons = failed["reason"].fillna("").astype(str).where(lambda r: r != "", "no reason given")
     groups = []
     for _, group in failed.groupby(without_numbers(reasons), sort=True):
@@ -250,18 +251,25 @@ class OutputSamples:
         return replace(self, x=self.x[rows], y=self.y[rows])
 
 
-def done(results: Results) -> pd.DataFrame:
-    """The runs that finished; others are left out of all statistics and reported with reasons."""
-    return results.table[results.table["status"] == Status.OK]
+def done(results: Results, *columns: str) -> pd.DataFrame:
+    """Columns of the runs that finished; others are left out of all statistics and reported with reasons."""
+    runs = results.columns("status", *columns)
+    return runs[runs["status"] == Status.OK]
 
 
-def samples(results: Results, output: Output) -> OutputSamples:
-    """Values of an output; each sample was run in each combination of crossed choices, in the same order."""
-    study, runs = results.study, results.table.sort_values("run", kind="stable")
-    values = runs[output.column].where(runs["status"] == Status.OK)
-    blocks = [runs.index]
+Design = tuple[list[NDArray[np.intp]], Array]
+
+
+def design(results: Results) -> Design:
+    """Rows of the table for each combination of crossed choices, in the order of the samples, and their x.
+
+    Each sample was run in each combination, in the same order. x: as of `OutputSamples`.
+    """
+    study = results.study
+    runs = results.columns("run", *(c.column for c in (*study.crossed, *study.dimensions)))
+    blocks = [np.argsort(runs["run"].to_numpy(), kind="stable")]
     for choice in study.crossed:
-        option = runs[choice.column].astype(str)
+        option = runs[choice.column].astype(str).to_numpy()
         blocks = [block[option[block] == o] for block in blocks for o in choice.options]
     count = {len(block) for block in blocks}
     if len(count) != 1:
@@ -271,12 +279,20 @@ def samples(results: Results, output: Output) -> OutputSamples:
         )
     x = np.empty((count.pop(), len(study.dimensions)))
     for i, dimension in enumerate(study.dimensions):
-        column = runs.loc[blocks[0], dimension.column]
+        column = runs.pop(dimension.column)
         if isinstance(dimension, Choice):
             column = column.astype(str).map(dimension.options.index)
-        x[:, i] = column.to_numpy(float)
-    y = np.column_stack([values.loc[block].to_numpy(float) for block in blocks])
-    return OutputSamples(study.dimensions, x, y, study.crossed)
+        x[:, i] = column.to_numpy(float)[blocks[0]]
+    return blocks, x
+
+
+def samples(results: Results, output: Output, of: Design | None = None) -> OutputSamples:
+    """Values of an output; `of` saves reading the samples again."""
+    rows, x = of or design(results)
+    runs = results.columns("status", output.column)
+    values = runs[output.column].where(runs["status"] == Status.OK).to_numpy(float)
+    y = np.column_stack([values[block] for block in rows])
+    return OutputSamples(results.study.dimensions, x, y, results.study.crossed)
 
 
 def rank_correlations(samples: OutputSamples, y: Array) -> list[float | None]:
