@@ -29,7 +29,7 @@ NEEDED_BY: Mapping[str, str] = {
     "build": "`harvester build`, `crane`; `fmus.build`; in `batch` and `sweep` several machines on each core",
     "view": "`harvester view`",
     "sweep": "`harvester sweep`, `convergence`",
-    "cluster": "`--scheduler`: studies on a cluster of Dask; folders of `sweep` at a URL; needs `[sweep]`, too",
+    "cluster": "`--scheduler`: runs on a cluster of Dask; folders of studies at a URL; needs `[sweep]`, too",
     "identify": "`harvester identify`",
     "files": "Parquet and MATLAB files, `to_pandas()`",
     "logger": "MF4 and TDMS files of loggers",
