@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Unpack
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, make_folder, write_whole
-from orchestrator.base.options import Kind, Patterns
+from orchestrator.base.options import Kind, Patterns, chosen
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, Time, command, system_file
-from orchestrator.engine.arguments import DEFAULT_ACCURACY, CoupledArguments
+from orchestrator.engine.arguments import CoupledArguments
+from orchestrator.engine.options import DEFAULT_ACCURACY, RunOptions
 
 if TYPE_CHECKING:
     from orchestrator.pages.figures import TraceFigure
@@ -25,7 +26,7 @@ def validate(
     monolithic: bool = False,
     limit: Annotated[float | None, Kind("E")] = None,
     layout: File | None = None,
-    play: Patterns = None,
+    play: Patterns | None = None,
     out: Folder = BUILD,
     **options: Unpack[CoupledArguments],
 ) -> bool:
@@ -59,7 +60,7 @@ def validate(
         default_system=DEFAULT_SYSTEM if system else file,
         monolithic=monolithic,
         limit=limit,
-        options=options,
+        options=chosen(RunOptions, options, "validate"),
     )
     told = partial(print, flush=True)
     validation, text = validate_system(
@@ -76,7 +77,7 @@ FORMATS = (".png", ".svg", ".pdf")
 def compare(
     traces: Annotated[list[Path], Kind("TRACE...", positional=True)],
     against: File | None = None,
-    signals: Patterns = None,
+    signals: Patterns | None = None,
     start: Time = None,
     stop: Time = None,
     out: Folder = BUILD,
@@ -106,7 +107,7 @@ def compare(
 @command
 def plot(
     files: Annotated[list[Path] | None, Kind("FILE...", positional=True)] = None,
-    signals: Patterns = None,
+    signals: Patterns | None = None,
     start: Time = None,
     stop: Time = None,
     out: File | None = None,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import checked, documented
+from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import available_cores, machine_memory
 from orchestrator.base.signals import completions, found
 from orchestrator.base.text import first_names
@@ -24,6 +24,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, dataset
 from orchestrator.engine.arguments import BatchArguments
 from orchestrator.engine.job import Job
+from orchestrator.engine.options import BatchOptions, RunOptions, same
 from orchestrator.engine.result import Interrupted
 from orchestrator.engine.scenario import ScenarioSource
 from orchestrator.engine.time_grid import Grid
@@ -117,9 +118,10 @@ def batch(
         result = batch("build/harvester.ssp", masses, stop=10.0, record=["manipulator.swing_angle"])
         print(result["manipulator.swing_angle"][:, -1])  # [rad], of each machine
     """
-    given = checked(BatchArguments, options, "batch")
-    workers = given.pop("workers", None) or available_cores()
-    job = Job.of(system, scenario, {**given, "record": record})
+    given = chosen(BatchOptions, options, "batch")
+    workers = given.workers or available_cores()
+    recorded = (record,) if isinstance(record, str) else record and tuple(record)
+    job = Job.of(system, scenario, same(RunOptions, given, record=recorded))
     if job.coupling.method.own:
         got = f"got {job.coupling.method.name}, whose functions are in the calling process"
         raise Problem(f"batch: expected one of the masters {', '.join(MASTERS)}, {got}")
@@ -252,13 +254,13 @@ def run_machines(
     rows     one array for each signal of all machines, shape (n, points), which is filled
     """
     ended, points = dict[int, Ended | None](), recorded_times(job.times)
-    job = replace(job, options={**job.options, "record": [*map(str, signals)]})
+    job = replace(job, options=replace(job.options, record=tuple(map(str, signals))))
     with closing(Runs([] if lanes else [job.system])) as runs:
         job = job if lanes else replace(job, system=runs.systems[0])
 
         def work(first: int) -> Iterable[tuple[int, Ended | None]]:
             if lanes:
-                group = runs.together(lanes, values, rows, first, count, job.options)
+                group = runs.together(lanes, values, rows, first, count, job)
                 return enumerate((end for _, end in group), first)
             start = {port: float(array[first]) for port, array in values.items()}
             result, end = runs.alone(replace(job, system=_with_values(job.system, start)))

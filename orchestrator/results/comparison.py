@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.options import Seconds, seconds
+from orchestrator.base.options import Time, seconds
 from orchestrator.base.signals import selected, span
 from orchestrator.base.text import brief, first_names
 from orchestrator.base.units import factor_and_offset, quantity
@@ -232,8 +232,8 @@ def compare(
     sources: Sequence[str | Path] | Mapping[str, Source],
     against: str | Path | None = None,
     signals: str | Iterable[str] = (),
-    start: Seconds = None,
-    stop: Seconds = None,
+    start: Time = None,
+    stop: Time = None,
 ) -> Comparison:
     """Compare runs with one of them.
 
