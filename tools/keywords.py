@@ -16,7 +16,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 FILE = Path(__file__).parents[1] / "orchestrator" / "engine" / "arguments.py"
-HEAD = '''"""Keywords of functions that simulate, as type checkers want them, of the groups in engine/options.py.
+HEAD = '''"""Keywords of functions that simulate, as type checkers want them: engine/options.py.
 
 Made by tools/keywords.py. A number with a unit may be a text, such as "1 ms", and several values may be one.
 """

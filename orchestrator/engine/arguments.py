@@ -1,4 +1,4 @@
-"""Keywords of functions that simulate, as type checkers want them, of the groups in engine/options.py.
+"""Keywords of functions that simulate, as type checkers want them: engine/options.py.
 
 Made by tools/keywords.py. A number with a unit may be a text, such as "1 ms", and several values may be one.
 """
