@@ -160,7 +160,7 @@ class Measured:
 
     def _noted(self, job: Job, *others: Any) -> RunEnd:
         end = self._simulate(job, *others)
-        (self.ends if job.options.get("error_estimate") else self.looks).append(end)
+        (self.ends if job.options.error_estimate else self.looks).append(end)
         return end
 
 

@@ -1,16 +1,17 @@
 """Declarations of options, for Python, the command line, study files and SSP annotations.
 
-A group of options is a TypedDict, whose docstring has the text of each option. The type has the kind of the
-value: its unit, its word in the help and its flag on the command line. A name in backquotes is an option.
-The groups are in `engine.arguments` and `ssp.coupling`. They and this file import only the standard library,
-so that `harvester --help` stays fast.
+A group of options is a frozen dataclass, whose docstring has the text of each option. The type has the kind
+of the value: its unit, its word in the help and its flag on the command line. A name in backquotes is an
+option. The groups are in `engine.options` and `ssp.coupling`. They and this file import only the standard
+library, so that `harvester --help` stays fast. The keywords of a function are the options of a group, see
+`engine.arguments`.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, is_dataclass
 from functools import cache
 from inspect import Parameter, cleandoc, signature
 from math import inf
@@ -36,6 +37,8 @@ class Kind:
     positional   an argument of a command
     choices      the texts that are allowed
     text         help of an option without a row in a docstring
+    option       its name, where the field of a group has another one
+    others       types of values that are accepted in place of a text
     """
 
     word: str = ""
@@ -47,33 +50,31 @@ class Kind:
     positional: bool = False
     choices: tuple[str, ...] = ()
     text: str = ""
+    option: str = ""
+    others: tuple[type, ...] = ()
 
     def __repr__(self) -> str:
         return f"Kind({self.word!r})"
 
 
-Seconds: TypeAlias = Annotated[float | str | None, Kind("T", "s")]
+Time: TypeAlias = float | str | None  # [s], or a text with a unit, as an argument of a function
+Seconds: TypeAlias = Annotated[float | None, Kind("T", "s")]
 Number: TypeAlias = Annotated[float | None, Kind("TOL")]
 Tolerance: TypeAlias = Annotated[float | None, Kind("TOL", least=1e-16, most=1.0)]
 Whole: TypeAlias = Annotated[int | None, Kind("N")]
-Patterns: TypeAlias = Annotated[str | Sequence[str] | None, Kind("PATTERN")]
-Sets: TypeAlias = Annotated[
-    str | Path | Sequence[str | Path] | None, Kind("SET", flags=("--parameters", "--pose"))
-]
+Patterns: TypeAlias = Annotated[tuple[str, ...], Kind("PATTERN")]
+Sets: TypeAlias = Annotated[tuple[str | Path, ...], Kind("SET", flags=("--parameters", "--pose"))]
 Swaps: TypeAlias = Annotated[
-    Mapping[str, str | Path] | None, Kind("COMPONENT=FMU", form="component=variant or component=file.fmu")
+    Mapping[str, str | Path], Kind("COMPONENT=FMU", form="component=variant or component=file.fmu")
 ]
 Values: TypeAlias = Annotated[
-    Mapping[str, float | bool | str] | None,
-    Kind("NAME=VALUE", form="component.variable=value or input=value"),
+    Mapping[str, float | bool | str], Kind("NAME=VALUE", form="component.variable=value or input=value")
 ]
 Faults: TypeAlias = Annotated[
-    Mapping[str, float | str] | None, Kind("NAME=SIZE@TIME", form="input=value@time, such as 2mm2@20s")
+    Mapping[str, float | str], Kind("NAME=SIZE@TIME", form="input=value@time, such as 2mm2@20s")
 ]
 _STEPS = "component=N, the number of internal steps per communication step"
-Substeps: TypeAlias = Annotated[
-    Mapping[str, int] | None, Kind("COMPONENT=N", flags=("--factor",), form=_STEPS)
-]
+Substeps: TypeAlias = Annotated[Mapping[str, int], Kind("COMPONENT=N", flags=("--factor",), form=_STEPS)]
 
 GROUPS: list[Any] = []  # of options, in which a text is looked for that a group does not have
 
@@ -92,7 +93,7 @@ class Declared:
     @property
     def repeatable(self) -> bool:
         """Can there be several values?"""
-        return any(get_origin(t) in (Sequence, list, Mapping) for t in self.types)
+        return any(get_origin(t) in (tuple, list, Mapping) for t in self.types)
 
     @property
     def mapping(self) -> Any:
@@ -107,7 +108,8 @@ class Declared:
     def read(self, value: Any) -> Any:
         """A value in SI units, several as a tuple; raises ValueError with what is expected."""
         if self.choices:
-            if value in self.choices or type(value) in self.types:
+            accepted = (*self.kind.others, *(t for t in self.types if t is not str))
+            if value in self.choices or type(value) in accepted:
                 return value
             raise ValueError(f"one of {', '.join(self.choices)}{', True, False' * (bool in self.types)}")
         if self.mapping is not None and not isinstance(value, Mapping):
@@ -173,10 +175,33 @@ def declared(hint: Any) -> Declared:
     return Declared(kind, tuple(types), tuple(choices))
 
 
+KEYWORDS: dict[Any, Any] = {}  # the keywords of a function, as a type checker has them -> the group
+
+
 @cache
 def declarations(group: Any) -> Mapping[str, Declared]:
-    """The options of a group."""
-    return {name: declared(hint) for name, hint in hints_of(group, include_extras=True).items()}
+    """The options of a group, in the order of its bases; of a field that is a group those of that one."""
+    return {name: option for name, (_, option) in _declarations(KEYWORDS.get(group, group)).items()}
+
+
+@cache
+def field_names(group: Any) -> Mapping[str, str]:
+    """Option -> field of a group."""
+    return {name: field for name, (field, _) in _declarations(group).items()}
+
+
+def _declarations(group: Any) -> dict[str, tuple[str, Declared]]:
+    found = dict[str, tuple[str, Declared]]()
+    for base in filter(is_dataclass, group.__bases__):
+        found |= _declarations(base)
+    hints = hints_of(group, include_extras=True)
+    for name in group.__annotations__ if "__annotations__" in vars(group) else ():
+        if is_dataclass(hints[name]):
+            found |= _declarations(hints[name])
+        else:
+            option = declared(hints[name])
+            found[option.kind.option or name] = name, option
+    return found
 
 
 ROW = re.compile(r"(\w+) {2,}(\S.*)")
@@ -199,7 +224,7 @@ def text_and_rows(documented: Any) -> tuple[str, dict[str, str]]:
 @cache
 def option_texts(group: Any) -> Mapping[str, str]:
     """The text of each option of a group, or of the first group that declares it."""
-    texts = text_and_rows(group)[1]
+    texts = text_and_rows(KEYWORDS.get(group, group))[1]
     for other in GROUPS:
         texts = text_and_rows(other)[1] | texts
     return {name: texts.get(name, "") for name in declarations(group)}
@@ -210,6 +235,40 @@ OF_FMPY = {
     "start_time": "start", "stop_time": "stop", "step_size": "step", "output_interval": "record_step",
     "relative_tolerance": "tolerance", "start_values": "set", "timeout": "time_limit",
 }  # fmt: skip
+
+
+Group = TypeVar("Group")
+
+
+def chosen(group: type[Group], options: Mapping[str, Any], function: str) -> Group:
+    """The record of the options of a call; those that are None are not chosen.
+
+    Raises TypeError for a name that is not in the group, and Problem for a wrong value.
+    """
+    of: Any = group  # whose hash a type checker does not know
+    values = checked(of, options, function)
+    for name, inner in _inner_groups(of).items():
+        own = {option: values.pop(option) for option in declarations(inner) if option in values}
+        values |= {name: inner.chosen(own)} if own else {}
+    return group(**values)
+
+
+@cache
+def _inner_groups(group: Any) -> Mapping[str, Any]:
+    """The fields of a group that are groups themselves, which have a function `chosen`."""
+    return {name: hint for name, hint in hints_of(group).items() if is_dataclass(hint)}
+
+
+def given(record: Any, group: Any = None) -> dict[str, Any]:
+    """The options of a record that differ from their defaults, by name; group: default: its own."""
+    group = group or type(record)
+    found, usual, inner = dict[str, Any](), group(), _inner_groups(group)
+    for option, name in field_names(group).items():
+        if hasattr(usual, name) and (value := getattr(record, name)) != getattr(usual, name):
+            found[option] = value
+    for name, of in inner.items():
+        found |= given(getattr(record, name), of)
+    return found
 
 
 def checked(group: Any, options: Mapping[str, Any], function: str) -> dict[str, Any]:
@@ -228,24 +287,6 @@ def checked(group: Any, options: Mapping[str, Any], function: str) -> dict[str, 
     return values
 
 
-def taken(given: dict[str, Any], *names: str, **renamed: str) -> dict[str, Any]:
-    """The options with these names, taken out of those of a call; renamed: name -> name in the result."""
-    renamed = dict.fromkeys(names, "") | renamed
-    return {new or name: given.pop(name) for name, new in renamed.items() if name in given}
-
-
-T = TypeVar("T", bound=Any)
-
-
-def merged(settings: T, options: Mapping[str, Any], **renamed: str) -> T:
-    """Settings with options of a call; raises Problem for one that both have. renamed: field -> option."""
-    for name, value in options.items():
-        if (own := getattr(settings, name)) != getattr(type(settings)(), name):
-            got = f"{value} and {type(settings).__name__}({name}={own})"
-            raise Problem(f"{renamed.get(name, name)}: expected one value, got {got}")
-    return replace(settings, **options)
-
-
 def _checked(name: str, option: Declared, value: Any) -> Any:
     try:
         return option.read(value)
@@ -253,7 +294,7 @@ def _checked(name: str, option: Declared, value: Any) -> Any:
         raise Problem(f"{name}: expected {expected}, got {value!r}") from None
 
 
-def seconds(value: float | str | None, name: str) -> float | None:
+def seconds(value: Time, name: str) -> float | None:
     """A time [s], which may be a text with a unit; raises Problem, beginning with its name, for others."""
     return None if value is None else float(_checked(name, declared(Seconds), value))
 

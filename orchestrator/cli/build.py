@@ -19,7 +19,7 @@ def build(
     fmi: Annotated[str, Kind("VERSION")] = "both",
     platform: Annotated[list[str] | None, Kind("NAME")] = None,
     parameters: File | None = None,
-    only: Patterns = None,
+    only: Patterns | None = None,
     crane: File | None = None,
     faults: bool = False,
     shipped: bool = False,

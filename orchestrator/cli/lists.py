@@ -83,7 +83,7 @@ def parameters(
 def signals(
     system: System = None,
     kind: Annotated[str | None, Kind("KIND")] = None,
-    swap: Swaps = None,
+    swap: Swaps | None = None,
     json: bool = False,
 ) -> None:
     """List the variables of a system with unit and description.

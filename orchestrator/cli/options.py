@@ -14,7 +14,7 @@ import typer
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import SYSTEMS, find, require_system, tell_once
 from orchestrator.base.options import Declared, F, Kind, declarations, declared, option_texts, text_and_rows
-from orchestrator.engine.arguments import CaseArguments
+from orchestrator.engine.options import CaseOptions
 
 BUILD = Path("build")
 SYSTEM = BUILD / "harvester.ssp"
@@ -73,7 +73,7 @@ def command(function: F) -> F:
     """
     hints = get_type_hints(function, include_extras=True)
     (text, rows), options, defaults = text_and_rows(function), dict[str, Declared](), dict[str, Any]()
-    texts = {**option_texts(CaseArguments), **rows}
+    texts = {**option_texts(CaseOptions), **rows}
     for name, parameter in signature(function).parameters.items():
         if parameter.kind is Parameter.VAR_KEYWORD:
             (group,) = get_args(hints[name])

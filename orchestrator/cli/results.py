@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Unpack
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, make_folder, write_whole
-from orchestrator.base.options import Kind, Patterns
+from orchestrator.base.options import Kind, Patterns, chosen
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, Time, command, system_file
-from orchestrator.engine.arguments import DEFAULT_ACCURACY, CoupledArguments
+from orchestrator.engine.arguments import CoupledArguments
+from orchestrator.engine.options import DEFAULT_ACCURACY, RunOptions
 
 if TYPE_CHECKING:
     from orchestrator.pages.figures import TraceFigure
@@ -26,7 +27,7 @@ def validate(
     limit: Annotated[float | None, Kind("E")] = None,
     rate: bool = False,
     layout: File | None = None,
-    play: Patterns = None,
+    play: Patterns | None = None,
     out: Folder = BUILD,
     **options: Unpack[CoupledArguments],
 ) -> bool:
@@ -62,7 +63,7 @@ def validate(
         monolithic=monolithic,
         limit=limit,
         rate=rate,
-        options=options,
+        options=chosen(RunOptions, options, "validate"),
     )
     told = partial(print, flush=True)
     validation, text = validate_system(
@@ -79,7 +80,7 @@ FORMATS = (".png", ".svg", ".pdf")
 def compare(
     traces: Annotated[list[Path], Kind("TRACE...", positional=True)],
     against: File | None = None,
-    signals: Patterns = None,
+    signals: Patterns | None = None,
     start: Time = None,
     stop: Time = None,
     rate: bool = False,
@@ -112,7 +113,7 @@ def compare(
 @command
 def plot(
     files: Annotated[list[Path] | None, Kind("FILE...", positional=True)] = None,
-    signals: Patterns = None,
+    signals: Patterns | None = None,
     start: Time = None,
     stop: Time = None,
     out: File | None = None,

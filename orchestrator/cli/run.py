@@ -7,13 +7,10 @@ from typing import Unpack
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import make_folder, require_system
+from orchestrator.base.options import chosen
 from orchestrator.cli.options import BUILD, File, Scenario, System, command, system_file
-from orchestrator.engine.arguments import (
-    DEFAULT_ACCURACY,
-    CommandArguments,
-    LinearArguments,
-    ReferenceArguments,
-)
+from orchestrator.engine.arguments import CommandArguments, LinearArguments, ReferenceArguments
+from orchestrator.engine.options import DEFAULT_ACCURACY, RunOptions
 
 NOT_RELIABLE = 3  # exit status
 
@@ -37,7 +34,8 @@ def run(
     start_process()  # before the slow imports
     from orchestrator.engine.run import run_to_file
 
-    result, line = run_to_file(file, scenario, out, default_accuracy=DEFAULT_ACCURACY["run"], **options)
+    asked = chosen(RunOptions, options, "run")
+    result, line = run_to_file(file, scenario, out, default_accuracy=DEFAULT_ACCURACY["run"], options=asked)
     print(f"{result.card.text()}\n\n{line}")
     return 0 if result.reliable else NOT_RELIABLE
 

@@ -20,7 +20,7 @@ def convergence(
     reference: File | None = None,
     steps: Annotated[str, Kind("S,S,...")] = "0.0005,0.001,0.002,0.005,0.01,0.02",
     masters: Annotated[str, Kind("NAME,...")] = "",
-    signals: Patterns = None,
+    signals: Patterns | None = None,
     repeats: Annotated[int | None, Kind("N")] = None,
     scheduler: Annotated[str | None, Kind("URL")] = None,
     out: Folder = BUILD / "convergence",
@@ -66,9 +66,9 @@ def track(
     path: Annotated[list[str] | None, Kind("NAME")] = None,
     through: Annotated[list[str] | None, Kind("X,Y,Z")] = None,
     speed: Annotated[float, Kind("V")] = 0.5,
-    swap: Swaps = None,
-    parameters: Sets = None,
-    set_: Values = None,
+    swap: Swaps | None = None,
+    parameters: Sets | None = None,
+    set_: Values | None = None,
     compare: bool = True,
     shape_sway: bool = False,
     sway_period: Annotated[float | None, Kind("S", "s", least=0.1)] = None,
@@ -135,7 +135,7 @@ def track(
     modes = (True, False) if compare else (True,)
     tell_built(machine, {})
     allowed = None if limit is None else limit / 1e3
-    sets = [parameters] if isinstance(parameters, str | Path) else parameters or ()
+    sets = parameters or ()
     sway = sway_period or (0.0 if shape_sway else None)
     given = set_ or {}
     return run_study(

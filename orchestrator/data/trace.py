@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from orchestrator.base import extras
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require, tell_once
-from orchestrator.base.options import Seconds, seconds
+from orchestrator.base.options import Time, seconds
 from orchestrator.base.signals import completions, found, matching
 from orchestrator.base.text import first_names
 from orchestrator.base.units import parse_unit, si_unit
@@ -83,8 +83,8 @@ class FigureArguments(TypedDict, total=False):
     """Options of `Trace.figure`."""
 
     title: str
-    start: Seconds
-    stop: Seconds
+    start: Time
+    stop: Time
     others: Mapping[str, Any] | None
     label: str
     band: Trace | None
@@ -202,8 +202,8 @@ class Trace(Mapping[str, Array]):
         self,
         *patterns: str | Sequence[str],
         title: str = "",
-        start: Seconds = None,
-        stop: Seconds = None,
+        start: Time = None,
+        stop: Time = None,
         others: Mapping[str, Any] | None = None,
         label: str = "",
         band: Trace | None = None,
@@ -247,7 +247,7 @@ class Trace(Mapping[str, Array]):
             names |= dict.fromkeys(matching(self.signals, pattern) or [self._only(pattern)])
         return list(names)
 
-    def window(self, start: Seconds = None, stop: Seconds = None) -> Self:
+    def window(self, start: Time = None, stop: Time = None) -> Self:
         """The samples from `start` to `stop`, [s] or such as "2 s", at least two; default: all."""
         start, stop = seconds(start, "start"), seconds(stop, "stop")
         first, last = (-np.inf if start is None else start), (np.inf if stop is None else stop)

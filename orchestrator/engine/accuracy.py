@@ -27,11 +27,11 @@ from orchestrator.base.signals import largest, selected
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import TraceSink
-from orchestrator.engine.job import Job, Options, is_late
+from orchestrator.engine.job import Job, Request
 from orchestrator.engine.refinement import Progress, estimated_error
 from orchestrator.engine.result import Result, RunEnd, RunFailed, changes
 from orchestrator.engine.time_grid import Grid, step_length
-from orchestrator.ssp.coupling import LARGEST_STEP, Coupling, take_coupling
+from orchestrator.ssp.coupling import LARGEST_STEP, Coupling
 from orchestrator.ssp.dependencies import estimates_errors, influential_events, influential_inputs
 from orchestrator.ssp.masters import Master
 from orchestrator.ssp.power_bonds import ANGULAR_VELOCITY, VELOCITY, find_bonds
@@ -102,7 +102,7 @@ class AccuracySearch:
     runs       number of those before it
     """
 
-    def __init__(self, system: System, options: Options) -> None:
+    def __init__(self, request: Request) -> None:
         """The RMS error of outputs over their range is to be at most the accuracy of the options.
 
         Outputs without a choice: velocities of power bonds, else all. Tolerance of the FMUs without a choice:
@@ -111,22 +111,20 @@ class AccuracySearch:
         Raises Problem for an accuracy out of range, for patterns without outputs, and for a choice that the
         search makes.
         """
-        accuracy: float = options["accuracy"]
-        chosen = {"step": options.get("step"), **take_coupling({**options})}
-        if isinstance(master := chosen.get("master"), Master):
-            chosen["master"] = master.name
-        for name, value in chosen.items():
-            if value is not None:
-                asked = f"accuracy {accuracy:g}"
-                raise Problem(f"{asked}: expected no {name}, which follows from it, got {value}")
+        system, options = request.system, request.options
+        accuracy, coupling = options.accuracy or 0.0, options.coupling
+        for name in ("step",) if options.step is not None else coupling.names:
+            value = options.step if name == "step" else getattr(coupling, name)
+            value = value.name if isinstance(value, Master) else value
+            raise Problem(f"accuracy {accuracy:g}: expected no {name}, which follows from it, got {value}")
         low, high = RANGE
         if not low <= accuracy <= high:
             raise Problem(f"accuracy: expected {low:g} to {high:g}, got {accuracy:g}")
         interfaces = [component.interface for component in system.components.values()]
-        self.accuracy, self.decisive = accuracy, decisive_signals(system, options.get("accuracy_of") or ())
-        self._given, self.runs = options, 0
+        self.accuracy, self.decisive = accuracy, decisive_signals(system, options.accuracy_of)
+        self._given, self.runs = request, 0
         self._nominals = {name: system.variable(system.port(name)).nominal for name in self.decisive}
-        self._tolerance = options.get("tolerance") or fmu_tolerance(accuracy)
+        self._tolerance = options.tolerance or fmu_tolerance(accuracy)
         self._repeats = all(i.rollback for i in interfaces)
         self._adapts = self._repeats and all(i.variable_step for i in interfaces)
         self._estimates = estimates_errors(system)
@@ -138,20 +136,16 @@ class AccuracySearch:
         self.settings = self._best = self._first()
 
     @property
-    def options(self) -> Options:
-        """Those of the next run, which records the signals that decide."""
-        given, settings = self._given, self.settings
-        found = {
-            **given,
-            "master": settings.coupling,
-            "tolerance": settings.tolerance,
-            "error_estimate": True,
-        }
-        if settings.step is not None:
-            found["step"] = settings.step
-        if (record := given.get("record")) is not None:
-            found["record"] = [*record, *self.decisive, *self._sources.causes]
-        return found
+    def request(self) -> Request:
+        """That of the next run, which records the signals that decide."""
+        settings, record = self.settings, self._given.options.record
+        return self._given.with_options(
+            coupling=settings.coupling,
+            step=settings.step,
+            tolerance=settings.tolerance,
+            error_estimate=True,
+            record=None if record is None else (*record, *self.decisive, *self._sources.causes),
+        )
 
     def _first(self) -> Settings:
         longest = self._sources.longest
@@ -220,7 +214,7 @@ class AccuracySearch:
         """Choose stricter settings after a run that failed; False without time, or after too many runs."""
         self.runs += 1
         self._next(math.inf)
-        return self.runs < MOST_RUNS and not is_late(self._given)
+        return self.runs < MOST_RUNS and not self._given.is_late
 
     def choose_stricter(self, result: Result) -> None:
         """Choose settings after a run that is not accepted; raises RunFailed with it if that is in vain."""
@@ -229,10 +223,10 @@ class AccuracySearch:
         if progress.add(error, counts=last_resort):
             self._best = self.settings
         known = progress.least < math.inf
-        stagnates, late = progress.idle >= PATIENCE and known, is_late(self._given)
+        stagnates, late = progress.idle >= PATIENCE and known, self._given.is_late
         shortest = (self.settings.step or math.inf) < GOLDEN * SHORTEST * self._sources.base
         if stagnates or late or shortest or self.runs >= MOST_RUNS:
-            after = f"{self._given['time_limit']:g} s" if late else f"{self.runs} runs"
+            after = f"{self._given.options.time_limit:g} s" if late else f"{self.runs} runs"
             why = "further runs hardly change it" * stagnates or f"after {after}"
             settings, accepted = self._best.text, ACCEPTED[self._best.repeats] * self.accuracy
             limit = f", where {accepted:.1e} is accepted," * (progress.least <= self.accuracy)
@@ -353,8 +347,8 @@ class Sources:
         times = job.times
         span, unit = times.stop - times.start, self.base / GOLDEN
         looks = max(min(LOOKS_WITH_SLOPES if slopes else LOOKS, MOST_LOOKS * unit / span), 1.0)
-        options = {**job.options, "record": [str(port) for port in ports], "error_estimate": False}
-        options.pop("until", None)
+        record = tuple(str(port) for port in ports)
+        options = replace(job.options, record=record, error_estimate=False)
         close = Grid(times.start, unit / looks, math.ceil(span / unit * looks))
         return Job(System(job.system.name, components), None, close, Coupling("jacobi"), options)
 

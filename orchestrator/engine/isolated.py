@@ -451,7 +451,7 @@ def _run(channel: Channel, task: RunTask) -> None:
             reason = error.strerror or str(error)
             raise Problem(f"{channel.folder}: a temporary file cannot be written: {reason}") from None
 
-    job = replace(task.job, options={**task.job.options, "open": open_fmu})
+    job = replace(task.job, options=replace(task.job.options, open=open_fmu))
     cores = 1 if task.many else None
     with closing(KeptFile(channel.folder / f"events-{task.number}")) as kept:
         run_job(job, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate, cores)

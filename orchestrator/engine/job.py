@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import checked, declarations
 from orchestrator.base.processes import machine_memory
 from orchestrator.base.signals import matching
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import SAME_TIME, Trace
 from orchestrator.data.trace_writer import TraceSink
-from orchestrator.engine.arguments import RunArguments, SystemArguments
+from orchestrator.engine.options import RunOptions
 from orchestrator.engine.result import (
     DIVIDED,
     SHORTER,
@@ -40,11 +39,10 @@ from orchestrator.engine.scenario import (
     with_changes,
 )
 from orchestrator.engine.time_grid import Grid, grid, time_span
-from orchestrator.engine.until import Comparison, condition
+from orchestrator.engine.until import Comparison, Condition, condition
 from orchestrator.fmi.interface import MODEL_EXCHANGE
-from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Coupling, take_coupling
+from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Coupling
 from orchestrator.ssp.load import configured
-from orchestrator.ssp.masters import Master
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
 from orchestrator.ssp.plausible import doubtful_columns, doubtful_starts, refuse_long, with_doubts
 from orchestrator.ssp.provenance import Provenance, built_notes, provenance
@@ -70,48 +68,176 @@ def open_slave(component: Component) -> Slave:
     return CoSimulationFmu(component.name, component.interface, component.source, component.whole_start)
 
 
-# Of `run`, in SI units, without those that nobody chose; deadline: end of the time limit of all runs of a
-# command, by `time.monotonic` [s].
-Options: TypeAlias = Mapping[str, Any]
-
-
-def begun(
-    system: System | str | Path, scenario: ScenarioSource, options: Options
-) -> tuple[System, ScenarioFile, Options]:
-    """The system with the choices of the options, the scenario read, and the options, whose time begins.
-
-    If that has been done, all of them as they are.
-    """
-    if isinstance(system, System) and isinstance(scenario, ScenarioFile) and "deadline" in options:
-        return system, scenario, options
-    given = checked(RunArguments, options, "run")
-    given["deadline"] = time.monotonic() + given.get("time_limit", math.inf)
-    of_system = {name: value for name, value in given.items() if name in declarations(SystemArguments)}
-    return configured(system, **of_system), read_scenario(scenario), given
-
-
-def is_late(options: Options) -> bool:
-    """Has the time limit passed?"""
-    deadline: float = options.get("deadline", math.inf)
-    return time.monotonic() >= deadline
-
-
-def isolated(options: Options) -> bool:
+def isolated(options: RunOptions) -> bool:
     """Is the run in a process of its own?"""
-    return bool(options.get("isolate", True)) and options.get("open", open_slave) is open_slave
+    return options.isolate and options.open in (None, open_slave)
 
 
-def _check(options: Options, own: Master | None) -> None:
-    """Refuse options that have no effect, and limits that cannot be enforced; own: a user's master."""
-    if options.get("accuracy_of") and "accuracy" not in options:
-        raise Problem(f"accuracy_of {options['accuracy_of'][0]}: expected an accuracy, got none")
-    if (estimate := options.get("error_estimate", False)) not in (True, False, "fast"):
-        raise Problem(f'error_estimate: expected True, False or "fast", got {estimate!r}')
-    here = [] if options.get("isolate", True) else ["isolate=False"]
-    here += [] if options.get("open", open_slave) is open_slave else ["a function `open`"]
-    here += [f"master {own.name}"] if own else []
-    for name in ("time_limit", "memory_limit"):
-        limit = options.get(name, math.inf)
+@dataclass(frozen=True)
+class Request:
+    """A run that is asked for.
+
+    system     with the choices of the options for it
+    deadline   end of the time limit of all runs of a command, by `time.monotonic` [s]
+    """
+
+    system: System
+    scenario: ScenarioFile
+    options: RunOptions
+    deadline: float = math.inf
+
+    @classmethod
+    def of(
+        cls, system: System | str | Path, scenario: ScenarioSource = None, options: RunOptions | None = None
+    ) -> Request:
+        """The request of a run with the arguments of `run`, whose time begins; reads the scenario."""
+        o = options or RunOptions()
+        deadline = time.monotonic() + o.time_limit
+        chosen = configured(system, cut=o.cut, swap=o.swap, parameters=o.parameters, set=o.set)
+        return Request(chosen, read_scenario(scenario), o, deadline)
+
+    @property
+    def is_late(self) -> bool:
+        """Has the time limit passed?"""
+        return time.monotonic() >= self.deadline
+
+    def with_options(self, **changes: Any) -> Request:
+        """The request with other choices, except of those that the system has already."""
+        return replace(self, options=replace(self.options, **changes))
+
+    def job(self) -> Job:
+        """The job of the run; raises Problem for a mistake."""
+        draft = _Draft(self, self.system, self.scenario.trace, self.scenario.label)
+        for step in PREPARATION:
+            draft = step(draft)
+        system, options = draft.system, draft.options
+        assert draft.times is not None
+        coupling = system.coupling or Coupling()
+        options = replace(options, isolate=options.isolate and not coupling.method.own)
+        until = None if options.until is None else condition(system, options.until)
+        ssv = [s for s in options.parameters if str(s).endswith(SSV)]
+        files = [*ssv, *([self.scenario.file] if self.scenario.file else [])]
+        return Job(
+            system=system,
+            scenario=draft.driving,
+            times=draft.times,
+            coupling=coupling,
+            options=replace(options, record=_recorded(options.record, until, system), until=None),
+            until=until,
+            provenance=provenance(system, files),
+            deadline=self.deadline,
+        )
+
+
+@dataclass(frozen=True)
+class _Draft:
+    """What becomes a job, step by step.
+
+    trace, label   the scenario, with what changes during the run, and its name in messages
+    driving        the trace at the inputs of the system
+    """
+
+    request: Request
+    system: System
+    trace: Trace | None
+    label: str
+    driving: Scenario | None = None
+    times: Grid | None = None
+
+    @property
+    def options(self) -> RunOptions:
+        """All choices."""
+        return self.request.options
+
+
+def _coupled(d: _Draft) -> _Draft:
+    """With the chosen coupling; refuses options that have no effect."""
+    system = d.system.coupled(d.options.coupling)
+    _check(d.options, system.coupling)
+    return replace(d, system=system)
+
+
+def _changed(d: _Draft) -> _Draft:
+    """With the faults in the scenario, whose values change during the run."""
+    if not d.options.fault:
+        return d
+    ends = time_span(d.system, d.trace, d.options.start, d.options.stop)
+    trace = with_changes(d.system, d.trace, d.options.fault, ends[:2], d.label)
+    return replace(d, trace=trace, label=d.label if d.trace else "fault")
+
+
+def _noted(d: _Draft) -> _Draft:
+    """With the notes that follow from the system before it is driven."""
+    system, columns = d.system, d.trace.signals if d.trace is not None else ()
+    return replace(
+        d,
+        system=system.noted(
+            *system.suggestion.notes(d.options.step is not None),
+            *built_notes(system),
+            *system.differences(system.common),
+            *system.without_effect([*_set_values(d), *columns]),
+            *system.without_ticks(),
+        ),
+    )
+
+
+def _driven(d: _Draft) -> _Draft:
+    """With the scenario at the inputs, in place of their connections."""
+    if d.trace is None:
+        return d
+    driving = drive(d.system, d.trace, d.label)
+    system = driving.released(d.system)
+    return replace(d, system=system.noted(*driving.overruled(system, _set_values(d))), driving=driving)
+
+
+def _doubted(d: _Draft) -> _Draft:
+    """With warnings of start values and columns that may be wrong; refuses a scenario that may be in ms."""
+    system = with_doubts(d.system, doubtful_starts(d.system))
+    if d.driving and d.trace is not None:
+        if d.options.stop is None and not d.options.yes:
+            refuse_long(system, d.trace, d.label)
+        system = with_doubts(system, doubtful_columns(system, d.trace, d.driving.columns, d.label))
+    return replace(d, system=system)
+
+
+def _guarded(d: _Draft) -> _Draft:
+    """With the guard that shorter steps of FMUs ask for."""
+    system = with_default_guard(d.system, d.options.step)
+    (system.coupling or Coupling()).check(system.components)
+    return replace(d, system=system)
+
+
+def _timed(d: _Draft) -> _Draft:
+    """With the communication points, to which the scenario fits."""
+    o, coupling = d.options, d.system.coupling or Coupling()
+    divides = coupling.adaptive is not None or guarded(d.system, coupling)
+    times = grid(d.system, d.trace, o.step, o.start, o.stop, o.record_step, o.accuracy is not None)
+    system = d.system.noted(*uneven_steps(d.system, coupling, times))
+    if d.driving is None:
+        return replace(d, system=system, times=times)
+    driving, times = d.driving.on(times, system, divides)
+    return replace(d, system=system, driving=driving, times=times)
+
+
+# each needs what those before it have done
+PREPARATION = (_coupled, _changed, _noted, _driven, _doubted, _guarded, _timed)
+
+
+def _set_values(d: _Draft) -> dict[str, Any]:
+    """The chosen start values, those of arrays by element."""
+    return dict(d.system.by_element(d.options.set))
+
+
+def _check(options: RunOptions, coupling: Coupling | None) -> None:
+    """Refuse options that have no effect, and limits that cannot be enforced."""
+    if options.accuracy_of and options.accuracy is None:
+        raise Problem(f"accuracy_of {options.accuracy_of[0]}: expected an accuracy, got none")
+    if options.error_estimate not in (True, False, "fast"):
+        raise Problem(f'error_estimate: expected True, False or "fast", got {options.error_estimate!r}')
+    here = [] if options.isolate else ["isolate=False"]
+    here += [] if options.open in (None, open_slave) else ["a function `open`"]
+    here += [f"master {coupling.method.name}"] if coupling and coupling.method.own else []
+    for name, limit in (("time_limit", options.time_limit), ("memory_limit", options.memory_limit)):
         if not limit > 0:
             raise Problem(f"{name}: expected a positive number, got {limit:g}")
         if limit < math.inf and here:
@@ -123,79 +249,38 @@ def _check(options: Options, own: Master | None) -> None:
 class Job:
     """A run: a system, its communication points and all other choices.
 
-    options      of `run`; `record` has names only
+    options      of `run`; `record` has names only, and `until` is apart
     provenance   of files and values
+    deadline     see `Request`
+    until        a condition that ends the run
     """
 
     system: System
     scenario: Scenario | None
     times: Grid
     coupling: Coupling
-    options: Options = field(default_factory=dict)
+    options: RunOptions = field(default_factory=RunOptions)
     provenance: Provenance = field(default_factory=Provenance)
+    deadline: float = math.inf
+    until: Condition | None = None
 
     @classmethod
     def of(
-        cls,
-        system: System | str | Path,
-        scenario: ScenarioSource = None,
-        options: Options | None = None,
+        cls, system: System | str | Path, scenario: ScenarioSource = None, options: RunOptions | None = None
     ) -> Job:
         """The job of a run with the arguments of `run`; raises Problem for a mistake."""
-        system, given, options = begun(system, scenario, options or {})
-        choices = take_coupling({**options})
-        system = system.coupled(choices) if choices else system
-        coupling = system.coupling or Coupling()
-        _check(options, coupling.method if coupling.method.own else None)
-        if coupling.method.own:
-            options = {**options, "isolate": False}
-        step, start, stop = (options.get(name) for name in ("step", "start", "stop"))
-        (trace, label, file), set_values = given, dict(system.by_element(options.get("set") or {}))
-        if fault := options.get("fault"):
-            ends = time_span(system, trace, start, stop)
-            trace, label = with_changes(system, trace, fault, ends[:2], label), label if trace else "fault"
-        columns = trace.signals if trace is not None else ()
-        system = system.noted(
-            *system.suggestion.notes(step is not None),
-            *built_notes(system),
-            *system.differences(system.common),
-            *system.without_effect([*set_values, *columns]),
-            *system.without_ticks(),
-        )
-        driving = None if trace is None else drive(system, trace, label)
-        if driving:
-            system = driving.released(system)
-            system = system.noted(*driving.overruled(system, set_values))
-        system = with_doubts(system, doubtful_starts(system))
-        if driving and trace is not None:
-            if stop is None and not options.get("yes"):
-                refuse_long(system, trace, label)
-            system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
-        system = with_default_guard(system, step)
-        coupling = system.coupling or Coupling()
-        coupling.check(system.components)
-        divides = coupling.adaptive is not None or guarded(system, coupling)
-        span, fitted = (step, start, stop), "accuracy" in options
-        times = grid(system, trace, *span, options.get("record_step"), fitted)
-        system = system.noted(*uneven_steps(system, coupling, times))
-        if driving:
-            driving, times = driving.on(times, system, divides)
-        options = _resolved(options, system)
-        ssv = [s for s in options.get("parameters") or () if str(s).endswith(SSV)]
-        files = [*ssv, *([file] if file else [])]
-        return Job(system, driving, times, coupling, options, provenance(system, files))
+        return Request.of(system, scenario, options).job()
 
     @property
     def signals(self) -> Sequence[str] | None:
         """The names of the signals to record; None: all outputs and inputs."""
-        record: Sequence[str] | None = self.options.get("record")
-        return record
+        return self.options.record
 
     @property
     def worker_limits(self) -> WorkerLimits:
         """The limits of a process; their time begins with the command."""
-        memory = min(1e9 * self.options.get("memory_limit", math.inf), machine_memory())
-        return WorkerLimits(total_time=self.options.get("time_limit", math.inf), memory=memory)
+        memory = min(1e9 * self.options.memory_limit, machine_memory())
+        return WorkerLimits(total_time=self.options.time_limit, memory=memory)
 
     @property
     def command_began(self) -> float:
@@ -203,8 +288,7 @@ class Job:
 
         Infinite if the limit is that of a run, without the start of its process.
         """
-        began: float = self.options.get("deadline", math.inf) - self.options.get("time_limit", math.inf)
-        return began
+        return self.deadline - self.options.time_limit if self.deadline < math.inf else math.inf
 
     def result(self, end: RunEnd, sink: TraceSink) -> Result:
         """The result of a complete run; raises RunFailed or Interrupted with the result of another one."""
@@ -300,15 +384,13 @@ def with_default_guard(system: System, step: float | None) -> System:
     return replace(system, suggestion=replace(system.suggestion, coupling=guard)).noted(f"{note}; {reason}")
 
 
-def _resolved(options: Options, system: System) -> Options:
-    """The options with a condition in place of a text, and with names in place of patterns."""
-    found = {**options}
-    until, record = options.get("until"), options.get("record")
-    if until is not None:
-        found["until"] = until = condition(system, until)
-    if record is not None:
-        names = [str(port) for causality in ("output", "input") for port in system.ports(causality)]
-        wanted = [name for pattern in record for name in matching(names, pattern) or [pattern]]
-        wanted += [until.signal] if isinstance(until, Comparison) else []
-        found["record"] = tuple(dict.fromkeys(wanted))
-    return found
+def _recorded(
+    patterns: Sequence[str] | None, until: Condition | None, system: System
+) -> tuple[str, ...] | None:
+    """The names that patterns and a condition mean; None: all."""
+    if patterns is None:
+        return None
+    names = [str(port) for causality in ("output", "input") for port in system.ports(causality)]
+    wanted = [name for pattern in patterns for name in matching(names, pattern) or [pattern]]
+    wanted += [until.signal] if isinstance(until, Comparison) else []
+    return tuple(dict.fromkeys(wanted))

@@ -68,7 +68,7 @@ def with_error_estimate(job: Job, result: Result, repeated: Callable[[Job], Resu
         return result
     times = job.times
     short = result.card.simulated < (1.0 - SAME_TIME) * (times.stop - times.start)
-    if short and job.options.get("until") is not None:
+    if short and job.until is not None:
         return result.noted("no error estimate: the run ended before its stop time")
     if times.free:
         reason = "two adaptive runs have common times only with a record step; set --record-step"

@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, write_whole
+from orchestrator.base.options import given
 from orchestrator.base.signals import CONSTANT, CONSTANT_OF_NOMINAL, largest, rms
 from orchestrator.base.text import TextTable, first_names, grouped
 from orchestrator.data.table import SUFFIXES, Array
 from orchestrator.data.trace import METADATA_SUFFIX, FigureArguments, Trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, read_origin, write_trace
+from orchestrator.engine.options import RunOptions
 from orchestrator.fmi.messages import Log, LogMessage
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.power_bonds import find_bonds
@@ -615,9 +617,12 @@ class RunMetadata(RunFigures):
 
 
 def metadata(
-    result: Result, options: Mapping[str, Any] | None = None, signals: RowLayout | None = None
+    result: Result,
+    options: RunOptions | None = None,
+    signals: RowLayout | None = None,
+    scenario: Path | None = None,
 ) -> RunMetadata:
-    """The metadata of a run; options: those that the user chose; default of `signals`: those of the trace."""
+    """The metadata of a run; options, scenario: the user's; default of `signals`: those of the trace."""
     signals = signals or RowLayout(tuple(result.trace.signals), result.trace.units)
     system, card = result.system, result.card
     inputs = [p for p in system.ports("input") if str(p) in signals.names]
@@ -630,7 +635,7 @@ def metadata(
         complete=result.complete,
         fmus={c.name: c.interface.identifier for c in system.components.values()},
         swapped={c.name: str(c.source) for c in system.components.values() if c.replaced},
-        given={name: value for name, value in (options or {}).items() if value},
+        given=(given(options) if options else {}) | ({"scenario": scenario} if scenario else {}),
         units=signals.units,
         inputs=tuple(map(str, inputs)),
         coupling=result.coupling.settings,
@@ -648,10 +653,14 @@ def metadata_file(trace: Path) -> Path:
 
 
 def metadata_text(
-    result: Result, sha256: str, options: Mapping[str, Any] | None = None, signals: RowLayout | None = None
+    result: Result,
+    sha256: str,
+    options: RunOptions | None = None,
+    signals: RowLayout | None = None,
+    scenario: Path | None = None,
 ) -> str:
     """The metadata of a run, for the file next to its trace with this checksum."""
-    data = {"sha256": sha256} | asdict(metadata(result, options, signals))
+    data = {"sha256": sha256} | asdict(metadata(result, options, signals, scenario))
     return json.dumps(data, indent=1, ensure_ascii=False, default=str) + "\n"
 
 

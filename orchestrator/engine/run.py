@@ -7,23 +7,24 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar, Unpack
+from typing import TypeAlias, TypeVar, Unpack
 
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import make_folder, require_system, tell_once, write_whole
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import checked, documented
+from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.isolated import run_isolated, start_process
-from orchestrator.engine.job import Job, Options, begun, isolated, open_slave
+from orchestrator.engine.job import Job, Request, isolated, open_slave
+from orchestrator.engine.options import RunOptions
 from orchestrator.engine.refinement import with_error_estimate
 from orchestrator.engine.result import (
     Card,
@@ -35,10 +36,10 @@ from orchestrator.engine.result import (
     metadata_text,
     write_events,
 )
-from orchestrator.engine.scenario import ScenarioFile, ScenarioSource
+from orchestrator.engine.scenario import ScenarioSource
 from orchestrator.engine.time_grid import RECORD_STEP, Grid, record_interval, step_length
 from orchestrator.engine.until import Until
-from orchestrator.ssp.coupling import take_coupling
+from orchestrator.ssp.coupling import CouplingOptions
 from orchestrator.ssp.dependencies import estimates_errors
 from orchestrator.ssp.plausible import doubts_told
 from orchestrator.ssp.system import System
@@ -69,7 +70,12 @@ def run(
 
     Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
     """
-    return _co_simulated(*begun(system, scenario, options), lambda _: TraceInMemory())[0]
+    return co_simulate(Request.of(system, scenario, chosen(RunOptions, options, "run")))
+
+
+def co_simulate(request: Request) -> Result:
+    """The result of a request, as of `run`."""
+    return _co_simulated(request, lambda _: TraceInMemory())[0]
 
 
 def attempt(
@@ -86,9 +92,7 @@ Sink = TypeVar("Sink", bound=TraceSink)
 
 
 def _co_simulated(
-    system: System,
-    scenario: ScenarioFile,
-    options: Options,
+    request: Request,
     new_sink: Callable[[Job], Sink],
     keep: Callable[[Result, Sink, Callable[[], None]], None] = lambda *_: None,
 ) -> tuple[Result, Sink]:
@@ -98,20 +102,20 @@ def _co_simulated(
     keep       called with the result, its sink, and a function that raises KeyboardInterrupt if the user has
                interrupted meanwhile
     """
-    search = None
-    if "accuracy" in options:
+    search, options = None, request.options
+    if options.accuracy is not None:
         from orchestrator.engine.accuracy import AccuracySearch  # not every run needs it
 
-        search = AccuracySearch(system, options)
+        search = AccuracySearch(request)
     if isolated(options):
         start_process()
     while True:
-        job = Job.of(system, scenario, search.options if search else options)
+        job = (search.request if search else request).job()
         if search and (alone := search.sources_alone(job)):
             looks = TraceInMemory()
             search.heed(simulate(alone, looks), looks)
-            job = Job.of(system, scenario, search.options)
-        if search and search.runs and options.get("progress"):
+            job = search.request.job()
+        if search and search.runs and options.progress:
             tell_once(f"note: {search.cost(job.times.stop - job.times.start)}")
         sink = new_sink(job)
         try:
@@ -133,18 +137,17 @@ def _co_simulated(
             continue
         finally:
             sink.close()
-        estimate = options.get("error_estimate") and not search
+        estimate = options.error_estimate and not search
         return with_error_estimate(job, result, _in_memory) if estimate else result, sink
 
 
 def simulate(job: Job, sink: TraceSink) -> RunEnd:
     """Run a job, in a process of its own or in this one; the rows go to `sink`."""
-    condition = job.options.get("until")
-    until = Until(condition, sink) if condition is not None else None
-    job = replace(job, options={**job.options, "until": None})  # functions stay in this process
+    until = Until(job.until, sink) if job.until is not None else None
+    job = replace(job, until=None)  # functions stay in this process
     times = job.times
     with (
-        ProgressBar(times.stop - times.start, bool(job.options.get("progress"))) as bar,
+        ProgressBar(times.stop - times.start, bool(job.options.progress)) as bar,
         doubts_told(job.system),
     ):
 
@@ -211,7 +214,7 @@ def run_to_file(
     every_point: bool = True,
     default_accuracy: float | None = None,
     accept: Accept = lambda *_: None,
-    **options: Unpack[RunArguments],
+    options: RunOptions | None = None,
 ) -> tuple[Result, str]:
     """Co-simulate with a progress bar, and write the rows to the file `out` while they are made.
 
@@ -226,24 +229,24 @@ def run_to_file(
                   have; a Problem that it raises ends the run
     """
     start_process()
-    given = checked(RunArguments, options, "run")
-    loaded, source, asked = begun(require_system(system), scenario, {"progress": True, **given})
-    choices, step = take_coupling({**asked}), asked.get("step")
-    parts = {"accuracy", "save_state", "resume"} & asked.keys()
+    given = options or RunOptions()
+    request = Request.of(require_system(system), scenario, replace(given, progress=True))
+    loaded, step, choices = request.system, given.step, given.coupling
+    parts = given.accuracy is not None or given.save_state is not None or given.resume is not None
     if default_accuracy and not parts and chooses_freely(loaded, step, choices):
-        asked = {**asked, "accuracy": default_accuracy}
-    if "record_step" not in asked:
-        coupled = loaded.coupled(choices) if choices else loaded
+        request = request.with_options(accuracy=default_accuracy)
+    if given.record_step is None:
+        coupled = loaded.coupled(choices)
         adaptive = coupled.coupling is not None and coupled.coupling.adaptive is not None
-        if asked.get("accuracy") or adaptive:
+        if request.options.accuracy or adaptive:
             interval = None if every_point else RECORD_STEP
         else:
             interval = record_interval(step_length(coupled, step))
-        asked = {**asked, "record_step": interval} if interval else asked
+        request = request.with_options(record_step=interval)
     make_folder(out.parent)
-    output = _Output(out, {**given, "scenario": None if isinstance(scenario, Trace) else scenario}, accept)
+    output = _Output(out, given, None if isinstance(scenario, Trace) else scenario, accept)
     try:
-        return _co_simulated(loaded, source, asked, output.begun, output.keep)[0], output.line
+        return _co_simulated(request, output.begun, output.keep)[0], output.line
     except RunFailed as failed:
         output.explain(failed, failed.result)
         raise
@@ -256,8 +259,8 @@ def run_to_file(
 class _Output:
     """A file with the rows of a run, and its metadata; line: about the complete file."""
 
-    def __init__(self, path: Path, given: Mapping[str, Any], accept: Accept) -> None:
-        self._path, self._given, self._accept = path, given, accept
+    def __init__(self, path: Path, given: RunOptions, scenario: Path | None, accept: Accept) -> None:
+        self._path, self._given, self._scenario, self._accept = path, given, scenario, accept
         self._file = TraceFile(path)  # raises Problem for a wrong name
         self._complete: Result | None = None
         self.line = ""
@@ -278,9 +281,9 @@ class _Output:
 
     def keep(self, result: Result, file: TraceFile, check: Callable[[], None]) -> None:
         """Give the file of a complete run its name."""
-        file.origin = metadata_text(result, "", self._given, file.layout)
+        file.origin = metadata_text(result, "", self._given, file.layout, self._scenario)
         complete, digest = file.finish(check)
-        metadata = metadata_text(result, digest, self._given, file.layout)
+        metadata = metadata_text(result, digest, self._given, file.layout, self._scenario)
         file.publish(complete, {metadata_file(file.path): metadata})
         write_events(result.card, file.path)
         self._complete, self.line = result, self._summary(result.card, file.path)
@@ -293,7 +296,7 @@ class _Output:
             file = self._file
             if file.partial.is_file():
                 with suppress(OSError, Problem):  # the disk may be full
-                    text = metadata_text(result, file.sha256, self._given, file.layout)
+                    text = metadata_text(result, file.sha256, self._given, file.layout, self._scenario)
                     write_whole(metadata_file(file.partial), text)
             end = f" up to t = {file.last:.6g} s" if file.rows else ""
             summary = self._summary(result.card, file.partial)
@@ -306,9 +309,9 @@ class _Output:
         return f"{name}: {len(self._file.layout.names)} signals, {self._file.rows} rows{interval}"
 
 
-def chooses_freely(system: System, step: float | None, coupling: Mapping[str, Any] | None) -> bool:
+def chooses_freely(system: System, step: float | None, coupling: CouplingOptions) -> bool:
     """May a default accuracy choose the coupling, because neither the user nor the system does?"""
     suggestion = system.suggestion
-    if step is not None or coupling or suggestion.step or suggestion.coupling or suggestion.refusal:
+    if step is not None or coupling.names or suggestion.step or suggestion.coupling or suggestion.refusal:
         return False
     return estimates_errors(system)

@@ -8,7 +8,7 @@ in both, so that each finds its values again.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import fields
 from hashlib import file_digest, sha256
 from io import BytesIO
@@ -23,6 +23,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import ZIP_ERRORS, Location, require, size_fault, write_whole
 from orchestrator.base.options import seconds
 from orchestrator.engine.c_library import recipe
+from orchestrator.engine.options import RunOptions
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.cosimulation import RunningFmu
 
@@ -36,9 +37,9 @@ SHOWN = 60  # letters of a difference in a message
 SERIALISES = ("canSerializeFMUstate", "canSerializeFMUState")
 
 
-def asked(options: Mapping[str, Any], times: Grid) -> tuple[Path, float] | None:
+def asked(options: RunOptions, times: Grid) -> tuple[Path, float] | None:
     """The file of a state and its time [s], at a point of the run: "FILE@TIME"; without a time the end."""
-    given = options.get("save_state")
+    given = options.save_state
     if given is None:
         return None
     name, at, text = str(given).rpartition("@")
@@ -63,17 +64,18 @@ def asked(options: Mapping[str, Any], times: Grid) -> tuple[Path, float] | None:
 
 def check(job: Job) -> tuple[str, ...]:
     """Raise Problem for options that exclude each other, and FMUs that cannot be saved; returns notes."""
-    given = [name for name in ("save_state", "resume") if job.options.get(name) is not None]
+    options = job.options
+    given = [name for name in ("save_state", "resume") if getattr(options, name) is not None]
     if not given:
         return ()
-    asked(job.options, job.times)
+    asked(options, job.times)
     for name in ("accuracy", "error_estimate"):
-        if job.options.get(name):
+        if getattr(options, name):
             raise Problem(f"{given[0]}: expected one run with a given master and step, got {name}")
-    if job.options.get("resume") == "":
+    if options.resume == "":
         raise Problem("resume: expected the file of a state, got an empty name")
-    if "resume" in given:
-        require(job.options["resume"], (SUFFIX,))
+    if options.resume is not None:
+        require(options.resume, (SUFFIX,))
     for name, component in job.system.components.items():
         face = component.interface
         entry = face.model.interfaces.get(face.kind)
@@ -97,7 +99,7 @@ def _identity(job: Job, loop: SimulationLoop) -> dict[str, Any]:
         "start": job.times.start,
         "step": None if job.times.free else job.times.step,
         "points per row": job.times.every,
-        "tolerance": job.options.get("tolerance"),
+        "tolerance": job.options.tolerance,
         **fmus,
         **start,
         "connections": str([str(c) for c in system.connections]),

@@ -73,7 +73,7 @@ def run_job(
     """
     with simulation(job, sink, allocate) as loop:
         loop.cores = cores or CORES
-        if resumed := job.options.get("resume"):
+        if resumed := job.options.resume:
             loop.begin(resumed=True)
             resume(Path(resumed), job, loop)
             of_part = f"rows and wall time are those from t = {loop.state.t:.9g} s on, the state in {resumed}"
@@ -92,7 +92,7 @@ def run_job(
         loop.recorder.finish()
         if loop.errors:
             loop.errors.collect(sink)
-        if "accuracy" not in job.options:  # which compares runs
+        if job.options.accuracy is None:  # which compares runs
             loop.notes += loop.looks.notes
         if loop.state.pause < np.inf:
             loop.notes += (f"no state is saved: the run ended before t = {loop.state.pause:.9g} s",)
@@ -123,7 +123,7 @@ def _step_to_end(job: Job, loop: SimulationLoop, sink: TraceSink, between: Calla
     """Step from the start to the stop time."""
     with DeferredInterrupts() as interrupts:
         state = loop.state
-        if not job.options.get("resume"):
+        if not job.options.resume:
             loop.begin()
         saved = asked(job.options, job.times)
         state.pause = saved[1] if saved else np.inf
@@ -180,7 +180,7 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
                 own = bool(job.coupling.method.step)
                 if face.event_mode and not (events and (located or divides or own or face.has_clocks)):
                     component = replace(component, interface=replace(face, event_mode=False))
-                slaves[name] = slave = job.options.get("open", open_slave)(component)
+                slaves[name] = slave = (job.options.open or open_slave)(component)
                 stack.callback(slave.close)
                 binding.restore_environment(slave)
                 if isinstance(slave, RunningFmu):
@@ -222,7 +222,7 @@ def _rollback_notes(job: Job) -> tuple[str, ...]:
 
 def bonds_of(job: Job, network: Network) -> list[Bond]:
     """The requested bonds; default: those from units whose two inputs influence their components."""
-    bonds = job.options.get("bonds")
+    bonds = job.options.bonds
     if bonds is None:
         influences = network.is_influential
         return [b for b in find_bonds(job.system) if influences(b.effort) and influences(b.flow)]
@@ -289,7 +289,7 @@ class SimulationLoop:
         self.network, self.times = network, job.times
         self._binding, self.state = network.binding, network.binding.simulation
         master = job.coupling.method
-        estimate, plan = job.options.get("error_estimate", False), master.planned(job.system, job.coupling)
+        estimate, plan = job.options.error_estimate, master.planned(job.system, job.coupling)
         if influential_events(job.system):  # the estimate is one of a linear system
             estimate = False
         plan = plan.with_estimate(fast=estimate == "fast") if estimate else plan
@@ -322,9 +322,9 @@ class SimulationLoop:
         """Initialise all FMUs."""
         slaves, times = self.network.slaves, self.times
         driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
-        tolerances = {n: job.options.get("tolerance") or s.interface.tolerance for n, s in slaves.items()}
+        tolerances = {n: job.options.tolerance or s.interface.tolerance for n, s in slaves.items()}
         stop = max(map(times.announced_stop, (1, *job.coupling.factors.values())))
-        if job.options.get("save_state"):  # an FMU may keep it with its state
+        if job.options.save_state:  # an FMU may keep it with its state
             stop = np.inf
         initialise(job.system, slaves, driven, (times.start, stop), tolerances)
         self._binding.logs = [slave.log for slave in slaves.values()]

@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import ulp
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,10 @@ class Comparison:
     value: float
 
 
-def condition(system: System, until: str | Callable[[float, Row], Any]) -> Comparison | Callable[..., Any]:
+Condition: TypeAlias = Comparison | Callable[..., Any]
+
+
+def condition(system: System, until: str | Callable[[float, Row], Any]) -> Condition:
     """The condition of a run of a system; raises Problem for a text that is none."""
     if not isinstance(until, str):
         return until
@@ -74,7 +77,7 @@ class Until(TraceSink):
     failure   what a function of the user raised: a Problem, or KeyboardInterrupt
     """
 
-    def __init__(self, when: Comparison | Callable[..., Any], sink: TraceSink) -> None:
+    def __init__(self, when: Condition, sink: TraceSink) -> None:
         self._when, self._sink = when, sink
         self.keeps_errors = sink.keeps_errors
         self.reached: float | None = None

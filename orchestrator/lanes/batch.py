@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.base.options import checked, documented
+from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import available_cores, machine_memory
 from orchestrator.base.signals import completions, found
 from orchestrator.base.text import first_names
@@ -26,6 +26,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, dataset
 from orchestrator.engine.arguments import BatchArguments
 from orchestrator.engine.job import Job
+from orchestrator.engine.options import BatchOptions, RunOptions, same
 from orchestrator.engine.result import Interrupted
 from orchestrator.engine.scenario import ScenarioSource
 from orchestrator.engine.time_grid import Grid
@@ -124,12 +125,12 @@ def batch(
         result = batch("build/harvester.ssp", masses, stop=10.0, record=["manipulator.swing_angle"])
         print(result["manipulator.swing_angle"][:, -1])  # [rad], of each machine
     """
-    given = checked(BatchArguments, options, "batch")
-    workers = given.pop("workers", None)
-    if workers and client:
+    given = chosen(BatchOptions, options, "batch")
+    if given.workers and client:
         raise Problem("batch: workers: expected none with a client, whose cluster has its own")
-    where = client or workers or available_cores()
-    job = Job.of(system, scenario, {**given, "record": record})
+    where = client or given.workers or available_cores()
+    recorded = (record,) if isinstance(record, str) else record and tuple(record)
+    job = Job.of(system, scenario, same(RunOptions, given, record=recorded))
     if job.coupling.method.own:
         got = f"got {job.coupling.method.name}, whose functions are in the calling process"
         raise Problem(f"batch: expected one of the masters {', '.join(MASTERS)}, {got}")
@@ -275,7 +276,7 @@ class MachineRuns:
         self._given, self._lanes, self._rows = (job, signals), lanes, rows
         self._runs = Runs([] if lanes else [job.system], archives)
         (system,) = self._runs.systems or [job.system]
-        self._job = replace(job, system=system, options={**job.options, "record": [*map(str, signals)]})
+        self._job = replace(job, system=system, options=replace(job.options, record=tuple(map(str, signals))))
         self._points, self.stop, self.close = recorded_times(job.times), self._runs.stop, self._runs.close
 
     @classmethod
@@ -283,7 +284,7 @@ class MachineRuns:
         cls, job: Job, signals: Sequence[Port], archives: Mapping[Location, bytes], in_lanes: bool, end: float
     ) -> MachineRuns:
         """Those of another computer; end: of the time limit, by the clock that computers share [s]."""
-        job = replace(job, options={**job.options, "deadline": time.monotonic() + end - time.time()})
+        job = replace(job, deadline=time.monotonic() + end - time.time())
         runs = cls(job, signals, None, None, archives)
         try:
             runs._lanes = Lanes(runs._job, signals, generated=True) if in_lanes else None
@@ -294,7 +295,7 @@ class MachineRuns:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Opened anew, with the FMUs as bytes."""
-        (job, signals), end = self._given, time.time() + self._job.options["deadline"] - time.monotonic()
+        (job, signals), end = self._given, time.time() + self._job.deadline - time.monotonic()
         return MachineRuns.opened, (job, signals, archives_of([job.system]), self.compiled, end)
 
     @property
@@ -311,7 +312,7 @@ class MachineRuns:
         else:
             rows = [row[first : first + count] for row in self._rows]
         if self._lanes:
-            group = self._runs.together(self._lanes, values, rows, 0, count, job.options)
+            group = self._runs.together(self._lanes, values, rows, 0, count, job)
             ended = [end for _, end in group]
         else:
             start = {port: float(array[0]) for port, array in values.items()}

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
-from orchestrator.base.options import checked
+from orchestrator.base.options import chosen
 from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME
 from orchestrator.engine.arguments import MachinesArguments
+from orchestrator.engine.options import MachinesOptions
 from orchestrator.lanes.machines import Machines
 from orchestrator.ssp.system import System
 
@@ -76,7 +77,7 @@ class MachinesEnv(VectorEnv):  # type: ignore[misc]  # the package may be missin
         truncate_unreliable   truncate the episodes of machines that are not reliable
         options        those of `batch`, without a time span
         """
-        step = options["step"] = float(checked(MachinesArguments, options, "MachinesEnv").get("step", STEP))
+        step = options["step"] = chosen(MachinesOptions, options, "MachinesEnv").step or STEP
         self._per_action, self._last = round(interval / step), round(duration / interval)
         if self._per_action < 1 or abs(self._per_action * step - interval) > SAME_TIME * interval:
             raise Problem(f"interval: expected a multiple of the step of {step:g} s, got {interval:g} s")

@@ -82,7 +82,7 @@ class Instances:
         self.memory = aligned(sum(sizes))
         base = self.memory.ctypes.data
         create = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double)
-        tolerance = lanes.job.options.get("tolerance") or 0.0
+        tolerance = lanes.job.options.tolerance or 0.0
         places = base + np.cumsum([0, *sizes[:-1]])
         pairs = zip(lanes.models, places.tolist(), strict=True)
         made = [create(model.struct.create)(place, tolerance) for model, place in pairs]

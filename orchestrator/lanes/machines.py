@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import checked
+from orchestrator.base.options import chosen
 from orchestrator.base.processes import available_cores
 from orchestrator.data.table import Array
 from orchestrator.engine.arguments import MachinesArguments
 from orchestrator.engine.job import Job
+from orchestrator.engine.options import MachinesOptions, RunOptions, same
 from orchestrator.lanes.batch import machine_values
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Group, Lanes
@@ -49,9 +50,9 @@ class Machines:
             got = f"{count} machines, {len(commands)} commands and {len(signals)} signals"
             raise Problem(f"machines: expected at least one machine, command and signal, got {got}")
         held = {"time": [0.0, FOREVER], **{name: [0.0, 0.0] for name in commands}}
-        given = checked(MachinesArguments, options, "Machines")
-        workers = given.pop("workers", None)
-        self._job = Job.of(system, held, {**given, "record": signals, "stop": FOREVER})
+        given = chosen(MachinesOptions, options, "Machines")
+        workers = given.workers
+        self._job = Job.of(system, held, same(RunOptions, given, record=tuple(signals), stop=FOREVER))
         self.system = self._job.system
         lanes = Lanes(self._job, [self._job.system.port(name) for name in signals])
         self.count, self.step = count, self._job.times.step

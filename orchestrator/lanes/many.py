@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections import defaultdict, deque
@@ -26,7 +25,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine.c_library import library
 from orchestrator.engine.isolated import processes, run_isolated
-from orchestrator.engine.job import ENDS_EARLY, Job, Options, is_late
+from orchestrator.engine.job import ENDS_EARLY, Job
 from orchestrator.engine.result import BondEnergy, Interrupted, Result, RunFailed
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Ended, Group, Lanes, Status
@@ -187,8 +186,8 @@ class Runs:
 
     def alone(self, job: Job) -> tuple[Result | None, Ended | None]:
         """The result of a run, None if it did not begin, and why it ended early or is not reliable."""
-        if is_late(job.options):
-            return None, Ended(Status.FAILED, f"not begun within {job.options['time_limit']:g} s")
+        if time.monotonic() >= job.deadline:
+            return None, Ended(Status.FAILED, f"not begun within {job.options.time_limit:g} s")
         sink = TraceInMemory()
         try:
             end = run_isolated(job, sink, self._between, self._pool)
@@ -226,7 +225,7 @@ class Runs:
         rows: Sequence[Array],
         first: int,
         count: int,
-        options: Options,
+        job: Job,
     ) -> list[tuple[list[BondEnergy], Ended | None]]:
         """A group of machines from `first` on: their energies, and why they ended early or are not reliable.
 
@@ -237,8 +236,8 @@ class Runs:
         self._busy.append(group)
         if self._stopped:
             group.stop()
-        within = options.get("time_limit", math.inf)
-        left = min(within, options["deadline"] - time.monotonic(), threading.TIMEOUT_MAX)
+        within = job.options.time_limit
+        left = min(within, job.deadline - time.monotonic(), threading.TIMEOUT_MAX)
         limit = threading.Timer(left, group.stop)
         limit.start()
         try:

@@ -8,10 +8,11 @@ from typing import Unpack
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import checked, documented, taken
+from orchestrator.base.options import chosen, documented
 from orchestrator.data.table import Array
 from orchestrator.data.trace import rounding
 from orchestrator.engine.arguments import LinearArguments
+from orchestrator.engine.options import LinearOptions
 from orchestrator.engine.run import run
 from orchestrator.engine.scenario import ScenarioSource, drive, read_scenario
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
@@ -118,10 +119,9 @@ def linearize(
 
     Raises Problem for a mistake, and for an FMU without Model Exchange.
     """
-    given = checked(LinearArguments, options, "linearize")
-    time, steady, speeds = given.get("time"), given.get("steady", False), given.get("speeds")
-    step, start_values = given.get("step"), given.get("set", {})
-    full = configured(system, **taken(given, "cut", "swap", "parameters"))
+    given = chosen(LinearOptions, options, "linearize")
+    time, steady, speeds, step, start_values = given.time, given.steady, given.speeds, given.step, given.set
+    full = configured(system, cut=given.cut, swap=given.swap, parameters=given.parameters)
     if time is None and (scenario is not None or step is not None):
         raise Problem(
             "--scenario, --step: expected --time as well; without --time the operating point is the start"
@@ -130,14 +130,14 @@ def linearize(
         raise Problem("--speed: expected --steady as well, got --speed alone")
     trace, label, _ = read_scenario(scenario)
     released = drive(full, trace, label).released(full) if trace is not None else full
-    cut = cut_at_inputs(full, given.get("inputs", ()), steady, released)
+    cut = cut_at_inputs(full, given.inputs, steady, released)
     if time is not None:
         _refuse_connected(full, start_values, "--scenario sets the input in the run")
     _refuse_connected(cut.system, start_values, "--input with the same name removes the connection")
     # without those of components that are only in the full system
     values = {n: v for n, v in start_values.items() if cut.system.has(n) or not full.has(n)}
     cut = replace(cut, system=cut.system.with_start(values))
-    ports = matching_outputs(cut.system, given.get("outputs", ()))
+    ports = matching_outputs(cut.system, given.outputs)
     start = full.start or 0.0
     plant = CutPlant(cut)
     try:

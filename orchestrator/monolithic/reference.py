@@ -26,19 +26,20 @@ import numpy as np
 from orchestrator.base.errors import NotExchangeable, Problem
 from orchestrator.base.extras import require
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import checked, documented, taken
+from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import check_room
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import ReferenceArguments
 from orchestrator.engine.integration import Integration, Solver, known
-from orchestrator.engine.job import Job
+from orchestrator.engine.job import Job, Request
+from orchestrator.engine.options import ReferenceOptions, RunOptions, same
 from orchestrator.engine.plant import Plant
 from orchestrator.engine.refinement import Progress, compared, estimated_error
 from orchestrator.engine.result import Card, Event, Result, RunFailed
-from orchestrator.engine.run import ProgressBar, run
+from orchestrator.engine.run import ProgressBar, co_simulate
 from orchestrator.engine.scenario import Scenario, ScenarioSource
-from orchestrator.engine.time_grid import RECORD_STEP, Grid, step_length
+from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.load import configured
@@ -81,36 +82,37 @@ def reference(
 
     Raises Problem for a mistake and if the solver fails.
     """
-    given = checked(ReferenceArguments, options, "reference")
-    record_step, tolerance = given.pop("record_step", RECORD_STEP), given.pop("tolerance", TOLERANCE)
+    given = chosen(ReferenceOptions, options, "reference")
+    record_step, tolerance = given.record_step, given.tolerance
     if not 1e-14 <= tolerance <= 1e-2:
         raise Problem(f"tolerance {tolerance:g}: expected 1e-14 to 1e-2")
     if not 0 < record_step < np.inf:
         raise Problem(f"record step: expected a positive time, got {record_step:g} s")
     require("reference", "the reference solution", "sksundae")
 
-    other, rest = configured(system, **taken(given, "cut", "swap")), {**given, "progress": progress}
+    other = configured(system, cut=given.cut, swap=given.swap)
+    rest = same(RunOptions, given, cut=(), swap={}, tolerance=None, progress=progress)
     try:
-        return _solve(other, scenario, record_step, tolerance, rest)
+        return _solve(other, scenario, record_step, tolerance, replace(rest, record_step=None))
     except NotExchangeable as problem:
         reason = str(problem)
-    rest |= {"record_step": record_step, "tolerance": FMU_TOLERANCE}
+    rest = replace(rest, tolerance=FMU_TOLERANCE)
 
     def co_simulated(step: float, master: Coupling) -> Result:
-        return run(other, scenario, master=master, step=step, **rest)
+        return co_simulate(Request.of(other, scenario, replace(rest, coupling=master, step=step)))
 
     return tightened(co_simulated, first_step(record_step, step_length(other, None)), tolerance, reason)
 
 
 def _solve(
-    system: System, scenario: ScenarioSource, record_step: float, tolerance: float, options: dict[str, Any]
+    system: System, scenario: ScenarioSource, record_step: float, tolerance: float, options: RunOptions
 ) -> Result:
     """The monolithic solution."""
-    job = Job.of(system, scenario, {**options, "step": record_step})
+    job = Job.of(system, scenario, replace(options, step=record_step))
     times = job.times
     plant = Plant(job.system, [*_inlets(job.system, job.scenario)])
     try:
-        with ProgressBar(times.stop - times.start, bool(job.options.get("progress"))) as bar:
+        with ProgressBar(times.stop - times.start, job.options.progress) as bar:
             result = _Recorded(plant, job.scenario, times, tolerance).result(bar)
         return replace(result, provenance=job.provenance)
     finally:

@@ -25,7 +25,8 @@ from orchestrator.base.text import first_names
 from orchestrator.data.table import Array
 from orchestrator.data.trace import JUMP, SAME_TIME, Trace
 from orchestrator.data.trace_writer import RowLayout, TraceSink
-from orchestrator.engine.job import Job, begun
+from orchestrator.engine.job import Request
+from orchestrator.engine.options import RunOptions, same
 from orchestrator.engine.recorder import EnergyMonitor
 from orchestrator.engine.result import SMALL_EXCHANGE, UNRELIABLE, energies_above
 from orchestrator.engine.scenario import ScenarioFile, ScenarioTable, values_over_time
@@ -227,8 +228,9 @@ class FrameStepper:
     def __init__(self, setup: Setup) -> None:
         """Raises Problem for a mistake in the setup."""
         setup.check()
-        chosen = {name: getattr(setup, name) for name in ("swap", "parameters", "set", "step")}
-        system, _, options = begun(setup.system, None, {**chosen, "record": setup.signals})
+        of_setup = same(RunOptions, setup, record=tuple(setup.signals), fault={})
+        request = Request.of(setup.system, None, of_setup)
+        system = request.system
         times, self._steps = _grid(system, system.coupling or Coupling(), setup)
         limits = RateLimiter(setup.axes, setup.frame)
         self.t, self.axes = times.start, limits.rest.copy()
@@ -245,8 +247,8 @@ class FrameStepper:
             names = (*(axis.name for axis in setup.axes), *setup.fault)
             columns = {n: np.full(2, value) for n, value in zip(names, first, strict=True)}
             at_rest = Trace(self._ramp.arrays[0].copy(), columns)
-        frame = {**options, "stop": times.start + self._steps * times.step}
-        job = Job.of(system, ScenarioFile(at_rest, "axes", None), frame)
+        driving = replace(request, scenario=ScenarioFile(at_rest, "axes", None))
+        job = driving.with_options(stop=times.start + self._steps * times.step).job()
         driven = job.scenario and replace(job.scenario, table=self._ramp)
         job = replace(job, scenario=driven, times=times)
         self._times = times

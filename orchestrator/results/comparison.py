@@ -12,7 +12,7 @@ import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.extras import require
-from orchestrator.base.options import Seconds, seconds
+from orchestrator.base.options import Time, seconds
 from orchestrator.base.signals import selected, span
 from orchestrator.base.text import brief, first_names
 from orchestrator.base.units import factor_and_offset, quantity
@@ -234,8 +234,8 @@ def compare(
     sources: Sequence[str | Path] | Mapping[str, Source],
     against: str | Path | None = None,
     signals: str | Iterable[str] = (),
-    start: Seconds = None,
-    stop: Seconds = None,
+    start: Time = None,
+    stop: Time = None,
     rate: bool = False,
 ) -> Comparison:
     """Compare runs with one of them.

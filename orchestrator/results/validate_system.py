@@ -18,7 +18,6 @@ from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
-from orchestrator.base.options import declarations
 from orchestrator.base.progress import doing
 from orchestrator.base.signals import moves, rms, selected
 from orchestrator.base.units import convert, factor_and_offset
@@ -28,7 +27,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
 from orchestrator.drive.page import Replayed, fragment
-from orchestrator.engine.arguments import CoupledArguments, SystemArguments
+from orchestrator.engine.options import RunOptions
 from orchestrator.engine.result import Card, Result, ranges, widest_of_unit
 from orchestrator.engine.run import run_to_file
 from orchestrator.engine.time_grid import Grid
@@ -189,14 +188,14 @@ def another_model(system: System, reference: Recording) -> str:
     return f"{', '.join(swapped)} {verb} swapped: {cause}, so expect differences"
 
 
-def other_numbers(system: Path, shipped: Recording | None, options: Mapping[str, Any]) -> str:
+def other_numbers(system: Path, shipped: Recording | None, options: RunOptions) -> str:
     """What differs in the numbers of a system from those of the shipped one; empty if nothing does.
 
     shipped   the reference that comes with the system, which was computed with the shipped numbers
     options   parameters and start values of the run
     """
-    loaded = configured(require_system(system), swap=options.get("swap"))
-    chosen = configured(loaded, parameters=options.get("parameters") or (), set=options.get("set"))
+    loaded = configured(require_system(system), swap=options.swap)
+    chosen = configured(loaded, parameters=options.parameters, set=options.set)
     built, own = built_notes(loaded), chosen_note(chosen)
     if shipped is None:
         return "\n".join(built)
@@ -285,7 +284,7 @@ class Experiment:
     monolithic: bool = False
     limit: float | None = None
     rate: bool = False
-    options: CoupledArguments = field(default_factory=lambda: CoupledArguments())
+    options: RunOptions = field(default_factory=RunOptions)
 
     def check(self) -> None:
         """Refuse options that have no meaning together."""
@@ -310,7 +309,7 @@ class Experiment:
             return against, None
         against = _with_units(loaded := load(require_system(self.system)), against)
         commands = None if self.scenario else played(loaded, against, self.play)
-        if commands and self.options.get("stop") is None and not self.options.get("yes"):
+        if commands and self.options.stop is None and not self.options.yes:
             refuse_long(loaded, against, str(self.reference))
         return against, commands
 
@@ -324,7 +323,7 @@ class Experiment:
         """What a run is compared with in the end: the reference, or the solution of its FMUs; and notes."""
         if self.monolithic:
             solved, limit = solve_as_run(self.system, self.scenario, run, self.options), self.limit
-            if limit is None and (self.scenario or self.options.get("swap")):
+            if limit is None and (self.scenario or self.options.swap):
                 limit = LIMIT  # limits of the shipped reference are for the work cycle of the shipped machine
             against = monolithic_recording(solved, against, [signal for _, signal in page.signals], limit)
             return against, [f"reference: {n}" for n in solved.card.notes if n not in run.card.notes]
@@ -381,7 +380,7 @@ def validate_system(
         every_point=False,
         accept=accept,
         default_accuracy=default_accuracy,
-        **of.options,
+        options=of.options,
     )
     against, notes = of.solved(result, against, page)
     if of.reference and not of.scenario:
@@ -451,7 +450,7 @@ def _machine(system: Path, result: Result, reference: Recording) -> tuple[Markup
 
 
 def _facts(
-    system: Path, scenario: Path | None, reference: str, card: Card, options: Mapping[str, Any]
+    system: Path, scenario: Path | None, reference: str, card: Card, options: RunOptions
 ) -> dict[str, Any]:
     """Settings of the run, in the order of the report."""
     facts: dict[str, Any] = {
@@ -461,22 +460,31 @@ def _facts(
         "master": card.master,
         "simulated [s]": card.simulated,
     }
-    for name in ("parameters", "cut"):
-        facts |= {name: ", ".join(options[name])} if options.get(name) else {}
-    facts |= {f"swap {name}": chosen for name, chosen in (options.get("swap") or {}).items()}
-    return facts | {f"set {name}": value for name, value in options.get("set", {}).items()}
+    for name, chosen in (("parameters", options.parameters), ("cut", options.cut)):
+        facts |= {name: ", ".join(map(str, chosen))} if chosen else {}
+    facts |= {f"swap {name}": fmu for name, fmu in options.swap.items()}
+    return facts | {f"set {name}": value for name, value in options.set.items()}
 
 
 LIMIT = 0.01  # of NRMSE; `jacobi` at 5 ms fails it
 
 
-def solve_as_run(system: Path, scenario: Path | None, run: Result, options: Mapping[str, Any]) -> Result:
+def solve_as_run(system: Path, scenario: Path | None, run: Result, options: RunOptions) -> Result:
     """The monolithic solution over the times of a run, which had these options."""
-    same = {name: value for name, value in options.items() if name in declarations(SystemArguments)}
     start, stop = (float(run.trace.time[k]) for k in (0, -1))
     record_step = run.card.record_step or run.card.step
     with doing("computing the monolithic solution"):
-        return reference(system, scenario, start=start, stop=stop, record_step=record_step, **same)
+        return reference(
+            system,
+            scenario,
+            start=start,
+            stop=stop,
+            record_step=record_step,
+            swap=options.swap,
+            parameters=options.parameters,
+            set=options.set,
+            cut=options.cut,
+        )
 
 
 def monolithic_recording(

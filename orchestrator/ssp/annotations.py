@@ -25,9 +25,9 @@ from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.numerals import finite, integer
-from orchestrator.base.options import declarations
+from orchestrator.base.options import declarations, field_names
 from orchestrator.base.xml import XmlElement, local_name
-from orchestrator.ssp.coupling import Coupling, Suggestion
+from orchestrator.ssp.coupling import Coupling, CouplingOptions, Suggestion
 
 OWN, COUPLING, SHARED, COMMON = "harvester-cosim", "Coupling", "SharedParameter", "CommonParameter"
 PATHS = ("DefaultExperiment",), ("System",), ()  # elements with annotations, as paths from the root
@@ -75,8 +75,9 @@ READERS: Mapping[Any, tuple[str, Callable[[str], Any]]] = {
     int: ("a whole number", integer),
     float: ("a number", finite),
 }
-SETTINGS = {name: option.numeric for name, option in declarations(Coupling).items() if not option.mapping}
-ATTRIBUTES: Mapping[str, Any] = SETTINGS | {"master": None, "step": float}
+DECLARED = [(field_names(CouplingOptions)[n], option) for n, option in declarations(CouplingOptions).items()]
+SETTINGS = {name: option.numeric for name, option in DECLARED if not option.mapping}
+ATTRIBUTES: Mapping[str, Any] = SETTINGS | {"step": float}
 FACTOR: Mapping[str, Any] = {"component": None, "steps": int}
 
 

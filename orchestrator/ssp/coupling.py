@@ -7,21 +7,11 @@ and the step that an SSP file suggests, and which of them the user has overridde
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, TypedDict
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Any
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.options import (
-    GROUPS,
-    Kind,
-    Number,
-    Seconds,
-    Substeps,
-    Whole,
-    declarations,
-    merged,
-    taken,
-)
+from orchestrator.base.options import GROUPS, Kind, Number, Seconds, Substeps, Whole, field_names
 from orchestrator.ssp.masters import MASTERS, Master
 
 MAX_PASSES = 8  # default of hermite
@@ -39,21 +29,80 @@ SMALLEST_STEP, LARGEST_STEP = 1e-7, 0.1  # [s], defaults of adaptive runs
 
 
 @dataclass(frozen=True)
-class Coupling:
+class CouplingOptions:
+    """How the components are coupled; relative errors are fractions of a signal's magnitude.
+
+    master               jacobi, gauss-seidel, hermite or interface-jacobian; default: the master in the
+                         system, else gauss-seidel.
+    order                Order of the extrapolation of outputs over a step: 0 (held), 1, 2 or 3; default: 0
+                         for jacobi and gauss-seidel, else 3.
+    passes               hermite: largest number of passes over a step, at least 1; default: 8.
+    coupling_tolerance   hermite: repeat a step while the end value of a signal, or its time derivative times
+                         the step, changes by more than TOL times its magnitude (the nominal value, or the
+                         largest value so far); default: 1e-5, with `adaptive` 0.3 of its TOL.
+    factors              Number of internal steps of the component per communication step; default: 1.
+    adaptive             Adapt the step so that the estimated error of each signal stays below TOL times its
+                         magnitude (the nominal value, or the largest value so far), such as 1e-3; default:
+                         equal steps.
+    guard                Without `adaptive`: divide a step if the estimated error of a signal exceeds TOL
+                         times its magnitude, or if the scenario has a corner inside the step; all components
+                         must be able to restore their states; 0: never; default: 0.01 for hermite and
+                         interface-jacobian; else 0.005 if an FMU suggests a shorter step than the system
+                         does, or 0.
+    smallest             With `adaptive`: shortest step [s], accepted with any error; default: 1e-7.
+    largest              With `adaptive`: longest step [s]; default: 0.1.
+    """
+
+    master: Annotated[str | Master | None, Kind("NAME", choices=tuple(MASTERS), others=(Coupling,))] = None
+    order: Whole = None
+    passes: Whole = None
+    tolerance: Annotated[float | None, Kind("TOL", option="coupling_tolerance")] = None
+    factors: Substeps = field(default_factory=dict)
+    adaptive: Number = None
+    guard: Number = None
+    smallest: Seconds = None
+    largest: Seconds = None
+
+    @classmethod
+    def chosen(cls, options: Mapping[str, Any]) -> CouplingOptions:
+        """Those of a call, by name. Raises Problem for one that is also in a `Coupling` as the master."""
+        of: Any = cls  # whose hash a type checker does not know
+        field_of, whole = field_names(of), options.get("master")
+        own = {field_of[name]: value for name, value in options.items()}
+        if not isinstance(whole, Coupling):
+            return cls(**own)
+        del own["master"]
+        for name, value in options.items():
+            other = getattr(whole, field_of[name])
+            if value is not whole and other != getattr(Coupling(), field_of[name]):
+                got = f"{value} and Coupling({field_of[name]}={other})"
+                raise Problem(f"{name}: expected one value, got {got}")
+        return replace(whole, **own)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the fields that are chosen."""
+        return tuple(f.name for f in fields(self) if getattr(self, f.name) not in (None, {}))
+
+    def added_to(self, usual: Coupling | None) -> Coupling:
+        """The usual coupling with these choices; if they include a master, with no other ones."""
+        own = {name: getattr(self, name) for name in self.names}
+        if usual is None or self.master is not None:
+            return Coupling(**own)
+        return replace(usual, **{**own, "factors": {**usual.factors, **self.factors}})
+
+
+GROUPS.append(CouplingOptions)
+
+
+@dataclass(frozen=True)
+class Coupling(CouplingOptions):
     """Coupling settings of a run, by the names of the options of `run`; `tolerance` is `coupling_tolerance`.
 
     A setting that would have no effect raises a Problem. master: one of `MASTERS`, by name, or a `Master`.
     """
 
     master: str | Master = "gauss-seidel"
-    order: int | None = None
-    passes: int | None = None
-    tolerance: float | None = None
-    factors: Mapping[str, int] = field(default_factory=dict)
-    adaptive: float | None = None
-    guard: float | None = None
-    smallest: float | None = None
-    largest: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.master, Master) and self.master not in MASTERS:
@@ -170,65 +219,6 @@ class Coupling:
         return settings | {"adaptive": self.adaptive, "smallest": smallest, "largest": largest}
 
 
-class CouplingArguments(TypedDict, total=False):
-    """How the components are coupled; relative errors are fractions of a signal's magnitude.
-
-    master               jacobi, gauss-seidel, hermite or interface-jacobian; default: the master in the
-                         system, else gauss-seidel.
-    order                Order of the extrapolation of outputs over a step: 0 (held), 1, 2 or 3; default: 0
-                         for jacobi and gauss-seidel, else 3.
-    passes               hermite: largest number of passes over a step, at least 1; default: 8.
-    coupling_tolerance   hermite: repeat a step while the end value of a signal, or its time derivative times
-                         the step, changes by more than TOL times its magnitude (the nominal value, or the
-                         largest value so far); default: 1e-5, with `adaptive` 0.3 of its TOL.
-    factors              Number of internal steps of the component per communication step; default: 1.
-    adaptive             Adapt the step so that the estimated error of each signal stays below TOL times its
-                         magnitude (the nominal value, or the largest value so far), such as 1e-3; default:
-                         equal steps.
-    guard                Without `adaptive`: divide a step if the estimated error of a signal exceeds TOL
-                         times its magnitude, or if the scenario has a corner inside the step; all components
-                         must be able to restore their states; 0: never; default: 0.01 for hermite and
-                         interface-jacobian; else 0.005 if an FMU suggests a shorter step than the system
-                         does, or 0.
-    smallest             With `adaptive`: shortest step [s], accepted with any error; default: 1e-7.
-    largest              With `adaptive`: longest step [s]; default: 0.1.
-    """
-
-    master: Annotated[Coupling | Master | None, Kind("NAME", choices=tuple(MASTERS))]
-    order: Whole
-    passes: Whole
-    coupling_tolerance: Number
-    factors: Substeps
-    adaptive: Number
-    guard: Number
-    smallest: Seconds
-    largest: Seconds
-
-
-FIELDS = {"coupling_tolerance": "tolerance"}  # option -> field of `Coupling`, where they differ
-GROUPS.append(CouplingArguments)
-
-
-def take_coupling(given: dict[str, Any]) -> dict[str, Any]:
-    """The options of the coupling, by the names of the fields of `Coupling`, taken out of those of a run.
-
-    Raises Problem for one that is also in a `Coupling` as the master.
-    """
-    choices = taken(given, **{name: FIELDS.get(name, name) for name in declarations(CouplingArguments)})
-    if not isinstance(whole := choices.get("master"), Coupling):
-        return choices
-    del choices["master"]
-    return {**vars(merged(whole, choices, **{field: option for option, field in FIELDS.items()}))}
-
-
-def merge_choices(choices: Mapping[str, Any], defaults: Coupling | None = None) -> Coupling:
-    """The coupling with `choices` by name. If they include a master, `defaults` are not used."""
-    if defaults is None or "master" in choices:
-        return Coupling(**choices)
-    factors = {**defaults.factors, **choices.get("factors", {})}
-    return replace(defaults, **{**choices, "factors": factors})
-
-
 OVERRIDE_HINT = "--master and --step override the suggestion"
 
 
@@ -253,14 +243,12 @@ class Suggestion:
     overridden: tuple[str, ...] = ()
     dismissed: str = ""
 
-    def with_choices(self, choices: Coupling | Mapping[str, Any]) -> Suggestion:
+    def with_choices(self, choices: CouplingOptions) -> Suggestion:
         """The suggestion with the user's settings. A coupling or a master replaces the whole suggestion."""
-        if isinstance(choices, Coupling):
-            return Suggestion(choices, dismissed=self.refusal or self.dismissed)
-        coupling = merge_choices(choices, self.coupling)
-        if "master" in choices:
+        coupling = choices if isinstance(choices, Coupling) else choices.added_to(self.coupling)
+        if choices.master is not None:
             return Suggestion(coupling, dismissed=self.refusal or self.dismissed)
-        return replace(self, coupling=coupling, overridden=(*self.overridden, *choices))
+        return replace(self, coupling=coupling, overridden=(*self.overridden, *choices.names))
 
     def notes(self, step_given: bool) -> tuple[str, ...]:
         """Notes for the card of a run: which parts of another tool's annotation the run follows."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, archive_kept_open, require_system
-from orchestrator.base.options import Seconds, seconds
+from orchestrator.base.options import Time, seconds
 from orchestrator.base.text import grouped
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import Value
@@ -174,8 +174,8 @@ def assemble(
     start: Mapping[str, Value | str] | None = None,
     name: str = "system",
     inputs: Mapping[str, Sequence[str]] | None = None,
-    stop: Seconds = None,
-    step: Seconds = None,
+    stop: Time = None,
+    step: Time = None,
     shared: Mapping[str, Sequence[str]] | None = None,
     common: Mapping[str, Sequence[str]] | None = None,
 ) -> System:

@@ -27,7 +27,7 @@ from orchestrator.base.units import (
 )
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.fmi.interface import FmuInterface, read_interface
-from orchestrator.ssp.coupling import Coupling, Suggestion
+from orchestrator.ssp.coupling import Coupling, CouplingOptions, Suggestion
 
 TYPED = 12  # characters of a number below which somebody has typed it
 MAX_NAMES = 4  # in a message
@@ -621,12 +621,9 @@ class System:
                 changed[name] = replace(c, interface=interface)
         return replace(self, components=changed)
 
-    def coupled(self, choices: Coupling | Mapping[str, Any]) -> System:
-        """The system with another coupling, or with single choices named like the fields of `Coupling`.
-
-        A master among them replaces the whole suggestion of the system's file. Other choices change it.
-        """
-        return replace(self, suggestion=self.suggestion.with_choices(choices))
+    def coupled(self, choices: CouplingOptions) -> System:
+        """The system with other choices about the coupling: a master replaces those of the system's file."""
+        return replace(self, suggestion=self.suggestion.with_choices(choices)) if choices.names else self
 
     def noted(self, *notes: str) -> System:
         """The system with further notes."""

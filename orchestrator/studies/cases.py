@@ -18,8 +18,8 @@ from orchestrator.base.units import factor_and_offset
 from orchestrator.data.table import READABLE
 from orchestrator.data.trace import rounding
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
-from orchestrator.engine.arguments import DEFAULT_ACCURACY
 from orchestrator.engine.job import Job
+from orchestrator.engine.options import DEFAULT_ACCURACY, RunOptions
 from orchestrator.engine.run import chooses_freely, run
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.description import Value
@@ -54,8 +54,7 @@ def resolve(study: Study) -> tuple[Study, dict[Options, Job]]:
     """
     with study.located():
         study.check()
-        system = configured(study.system_file, cut=study.options.get("cut", ()))
-        system = system.coupled(study.coupling) if study.coupling else system
+        system = configured(study.system_file, cut=study.chosen.cut).coupled(study.chosen.coupling)
         cases = {o: _case(study, system, o) for o in product(*(c.options for c in study.choices))}
         systems = [system for system, _ in cases.values()]
         fixed = {name: _fixed(systems, name, value) for name, value in study.fixed.items()}
@@ -95,18 +94,25 @@ def _case(study: Study, system: System, options: Options) -> tuple[System, Path 
 def _job(study: Study, system: System, scenario: Path | None) -> Job:
     """The run at the fixed values; coupling, step and tolerance are accurate enough for the study."""
     accuracy, ports = study.accuracy, [str(signal(system, o.signal)) for o in study.outputs]
-    options: dict[str, Any] = {"stop": study.stop, "record_step": study.record_step}
     tolerance = None
-    if accuracy is None and chooses_freely(system, study.step, study.coupling):
+    if accuracy is None and chooses_freely(system, study.step, study.chosen.coupling):
         accuracy = DEFAULT_ACCURACY["sweep"]
     if accuracy is not None:
         decisive = sorted({*decisive_signals(system, ["*"])} & {*ports})
-        result = run(system, scenario, accuracy=accuracy * SAFETY, accuracy_of=decisive, **options)
+        result = run(
+            system,
+            scenario,
+            accuracy=accuracy * SAFETY,
+            accuracy_of=decisive,
+            stop=study.stop,
+            record_step=study.record_step,
+        )
         step = result.card.step if result.coupling.adaptive is None else None
         system = replace(system, suggestion=Suggestion(result.coupling, step))
         tolerance = fmu_tolerance(accuracy * SAFETY)
-    record = list(dict.fromkeys(ports))
-    return Job.of(system, scenario, {**options, "step": study.step, "record": record, "tolerance": tolerance})
+    record = tuple(dict.fromkeys(ports))
+    span = RunOptions(stop=study.stop, step=study.step, record_step=study.record_step)
+    return Job.of(system, scenario, replace(span, record=record, tolerance=tolerance))
 
 
 # ---- names

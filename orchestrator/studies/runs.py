@@ -97,11 +97,13 @@ class StudyRuns:
     def __init__(self, prepared: PreparedStudy, in_lanes: Iterable[Options] = ()) -> None:
         """in_lanes: options whose runs are in lanes here, because they are so where the study was started."""
         self._prepared = prepared
-        self._study, limits = prepared.study, limits_of(prepared.study)
+        self._study, (time, memory) = prepared.study, limits_of(prepared.study).values()
         self._runs = Runs([job.system for job in prepared.cases.values()], prepared.archives)
         pairs = zip(prepared.cases.items(), self._runs.systems, strict=True)
         self._jobs = {
-            options: replace(job, system=system, options={**job.options, **limits})
+            options: replace(
+                job, system=system, options=replace(job.options, time_limit=time, memory_limit=memory)
+            )
             for (options, job), system in pairs
         }
         self.stop, self.close = self._runs.stop, self._runs.close
@@ -177,7 +179,7 @@ class StudyRuns:
         values, count = machine_values(job, {n: [float(s.factors[n]) for s in unit] for n in unit[0].factors})
         rows = [np.full((count, job.times.rows), np.nan) for _ in lanes.signals]
         found: dict[int, RunOutcome] = {}
-        ends = self._runs.together(lanes, values, rows, 0, count, job.options)
+        ends = self._runs.together(lanes, values, rows, 0, count, job)
         for i, (sample, (bonds, end)) in enumerate(zip(unit, ends, strict=True)):
             if not end or end.status == Status.NOT_RELIABLE:
                 signals = {str(port): values[i] for port, values in zip(lanes.signals, rows, strict=True)}

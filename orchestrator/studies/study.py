@@ -23,12 +23,12 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import SYSTEMS, find, require
-from orchestrator.base.options import checked, declarations, seconds
+from orchestrator.base.options import checked, chosen, declarations, seconds
 from orchestrator.base.text import brief
 from orchestrator.base.toml import Rule, Table, quote_key
 from orchestrator.base.units import number_and_unit
-from orchestrator.engine.arguments import CoupledArguments, RunArguments
-from orchestrator.ssp.coupling import CouplingArguments, take_coupling
+from orchestrator.engine.options import CoupledOptions, RunOptions
+from orchestrator.ssp.coupling import CouplingOptions
 
 Method = Literal["latin", "sobol", "grid", "saltelli", "morris"]
 Measure = Literal["maximum", "minimum", "mean", "rms", "range", "final", "integral", "time_of_maximum"]
@@ -228,8 +228,8 @@ class Study:
     def __post_init__(self) -> None:
         for name in ("factors", "choices", "outputs"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        object.__setattr__(self, "options", checked(CoupledArguments, self.options, "Study"))
-        given = checked(RunArguments, {name: getattr(self, name) for name in RUN}, "Study")
+        object.__setattr__(self, "options", checked(CoupledOptions, self.options, "Study"))
+        given = checked(RunOptions, {name: getattr(self, name) for name in RUN}, "Study")
         for name, value in (given | {"band_step": seconds(self.band_step, "band_step")}).items():
             expected = "finite" if name == "stop" else "positive"
             if name != "master" and not (isfinite(value) and (value > 0 or name == "stop")):
@@ -247,9 +247,10 @@ class Study:
         return (*self.factors, *(c for c in self.compared if c.sampled))
 
     @property
-    def coupling(self) -> dict[str, Any]:
-        """The choices about the coupling, by the names of the fields of `Coupling`."""
-        return take_coupling({"master": self.master, **self.options} if self.master else {**self.options})
+    def chosen(self) -> CoupledOptions:
+        """`options` and the master, as a record."""
+        master = {"master": self.master} if self.master else {}
+        return chosen(CoupledOptions, {**self.options, **master}, "Study")
 
     @property
     def compared(self) -> tuple[Choice, ...]:
@@ -287,7 +288,7 @@ class Study:
         """Raise a Problem if the study contradicts itself; its system is not opened."""
         if self.method not in METHODS:
             raise Problem(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        if self.accuracy is not None and (self.step is not None or self.coupling):
+        if self.accuracy is not None and (self.step is not None or self.chosen.coupling.names):
             raise Problem(f"accuracy {self.accuracy:g}: expected no step and no master, which follow from it")
         if not self.outputs:
             raise Problem("outputs: expected at least one, got none")
@@ -332,7 +333,7 @@ def levels(dimension: Factor | Choice) -> int:
 
 
 RUN = ("stop", "step", "master", "record_step", "accuracy", "time_limit", "memory_limit")  # options of `run`
-OPTIONS = tuple(sorted({"cut", *declarations(CouplingArguments)} - {"master", "factors"}))
+OPTIONS = tuple(sorted({"cut", *declarations(CouplingOptions)} - {"master", "factors"}))
 OF_STUDY = (*RUN, "band_step", *OPTIONS)  # keys whose values `Study` checks itself
 
 Text = Annotated[str, Rule("a text", bool)]

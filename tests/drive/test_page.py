@@ -22,6 +22,7 @@ from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.drive import page as drive_page
 from orchestrator.drive.page import Replayed, find_fmu, fragment, write_page
+from orchestrator.engine.options import RunOptions
 from orchestrator.results.validate_system import Experiment, validate_system
 
 SCHEMES = ("light", "dark")
@@ -35,7 +36,7 @@ def file(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[s
 
     def report() -> Path:
         default = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
-        experiment = Experiment(fmu_dir / "harvester.ssp", default, options={"stop": 1.0})
+        experiment = Experiment(fmu_dir / "harvester.ssp", default, options=RunOptions(stop=1.0))
         validate_system(experiment, folder)
         return folder / "report.html"
 

@@ -84,7 +84,7 @@ def test_the_accuracy_of_a_study(study, tmp_path):
     study = replace(study, stop=1.0, accuracy=1e-3)
     (case,) = prepare(study).cases.values()
     assert case.system.step > 1e-3
-    assert case.options["tolerance"] == pytest.approx(1.5e-5)
+    assert case.options.tolerance == pytest.approx(1.5e-5)
     found, true = (
         sweep(s, tmp_path / s.title, workers=2).bands["swing.swing_pressure_a"].to_numpy()
         for s in (study, replace(study, title="truth", accuracy=None, master="hermite", step=5e-4))

@@ -20,6 +20,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.engine import refinement
 from orchestrator.engine.refinement import estimated_error
 from orchestrator.engine.result import Card, SignalError
+from orchestrator.engine.run import co_simulate
 from orchestrator.fmi.interface import FmuInterface
 from orchestrator.monolithic import reference as solving
 from orchestrator.monolithic.reference import BOUND, first_step, master, tightened
@@ -322,13 +323,13 @@ def test_the_solvers_in_the_fmus_get_a_tight_tolerance(fmus, monkeypatch):
     """1e-10, a ten-thousandth of the smallest bound; the steps divide the record step."""
     given = []
 
-    def noted(system, scenario, **options):
-        given.append(options)
-        return run(system, scenario, **options)
+    def noted(request):
+        given.append(request.options)
+        return co_simulate(request)
 
-    monkeypatch.setattr(solving, "run", noted)
+    monkeypatch.setattr(solving, "co_simulate", noted)
     ramp = {"time": [0.0, 1.0], "u": [0.0, 1.0]}
     result = solving.reference(fmus["gain"], ramp, record_step=0.1, set={"gain.factor": 2.0})
-    assert [g["step"] for g in given] == [0.1 / 100, 0.1 / 200]
-    assert {(g["tolerance"], g["record_step"]) for g in given} == {(1e-10, 0.1)}
+    assert [g.step for g in given] == [0.1 / 100, 0.1 / 200]
+    assert {(g.tolerance, g.record_step) for g in given} == {(1e-10, 0.1)}
     assert result["gain.y"] == pytest.approx(2.0 * result.time, abs=1e-12)  # rounding

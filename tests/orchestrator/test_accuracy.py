@@ -10,9 +10,11 @@ from kit.any_fmu.outcome import NO_ROLLBACK
 from kit.mistakes import problem, table
 
 from orchestrator import Coupling, Problem, Result, RunFailed, Trace, assemble, reference, run
+from orchestrator.base.options import chosen
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import accuracy as accuracy_search
-from orchestrator.engine.job import Job, begun
+from orchestrator.engine.job import Request
+from orchestrator.engine.options import RunOptions
 from orchestrator.engine.result import Card, RunEnd, SignalError
 from orchestrator.engine.run import run_to_file, simulate
 from orchestrator.ssp.coupling import Suggestion
@@ -149,12 +151,16 @@ def test_a_source_that_no_step_resolves_is_told(fmus):
     assert "not known, because s.y moves between any two points; at the points: estimated" in note
 
 
+def asked(system, accuracy):
+    """The request of an accuracy of a.x."""
+    return Request.of(system, None, RunOptions(accuracy=accuracy, accuracy_of=("a.x",)))
+
+
 def looked_at(system, stop, scenario=None):
     """The search of an accuracy, and how it looks at the sources of a system."""
-    options = {"accuracy": 1e-2, "stop": stop, "isolate": False}
-    asked = begun(system, scenario, options)
-    search = accuracy_search.AccuracySearch(asked[0], asked[2])
-    return search, search.sources_alone(Job.of(*asked[:2], search.options))
+    options = RunOptions(accuracy=1e-2, stop=stop, isolate=False)
+    search = accuracy_search.AccuracySearch(Request.of(system, scenario, options))
+    return search, search.sources_alone(search.request.job())
 
 
 @pytest.mark.parametrize(("stop", "step"), [(1.0, 61.80340e-6), (123.6068, 123.6068e-6), (1e4, 618.0340e-6)])
@@ -205,7 +211,7 @@ def test_steps_are_longer_than_suggested_only_where_slopes_are_told(fmus, able, 
     """The FMUs suggest nothing, so that it is 1 ms; else over the golden ratio."""
     rich = {TELLS[2]: "true", **able}
     system = oscillator_of(*(telling(fmus, f"mass_{n}", f"{n}_{len(able)}", able=rich) for n in "ab"))
-    search = accuracy_search.AccuracySearch(system, {"accuracy_of": ["a.x"], "accuracy": 1e-2})
+    search = accuracy_search.AccuracySearch(asked(system, 1e-2))
     assert search.settings.step == pytest.approx(step, rel=1e-6)  # as printed above
     search._next(1.0)
     coupling = search.settings.coupling
@@ -214,7 +220,7 @@ def test_steps_are_longer_than_suggested_only_where_slopes_are_told(fmus, able, 
 
 def test_no_period_divides_both_of_two_steps(moving):
     """Their ratio is the golden one; at order 1 the change is 0.618 times the error."""
-    search = accuracy_search.AccuracySearch(moving, {"accuracy_of": ["a.x"], "accuracy": 1e-2})
+    search = accuracy_search.AccuracySearch(asked(moving, 1e-2))
     t = np.linspace(0.0, 1.0, 101)
     for k, step in enumerate((1e-3, 0.6180340e-3)):
         assert search.settings.step == pytest.approx(step, rel=1e-6)  # as printed above
@@ -227,7 +233,7 @@ def test_no_period_divides_both_of_two_steps(moving):
 
 def searched(system, accuracy, *errors, adapts=True):
     """The settings of the run that follows runs with these errors, over the accuracy; None if none does."""
-    search = accuracy_search.AccuracySearch(system, {"accuracy_of": ["a.x"], "accuracy": accuracy})
+    search = accuracy_search.AccuracySearch(asked(system, accuracy))
     search._adapts = adapts
     for rms in accuracy * np.array(errors):
         found = {"errors": (SignalError("a.x", rms, rms, change=rms),), "errors_of_inputs": True}
@@ -269,8 +275,8 @@ def test_adaptive_steps_follow_where_equal_ones_would_be_too_short(open_oscillat
 
 def test_the_error_inside_the_fmus_counts(open_oscillator):
     """It is taken for half of their tolerance, if the user wants a loose one."""
-    loose = {"accuracy": 1e-6, "accuracy_of": ["a.x"], "tolerance": 1e-5}
-    search = accuracy_search.AccuracySearch(open_oscillator, loose)
+    loose = RunOptions(accuracy=1e-6, accuracy_of=("a.x",), tolerance=1e-5)
+    search = accuracy_search.AccuracySearch(Request.of(open_oscillator, None, loose))
     card = Card(master="any", step=search.settings.step, errors_of_inputs=True)
     result = Result(open_oscillator, Trace(np.zeros(1), {}), card)
     assert not search.accepts(result)
@@ -342,8 +348,8 @@ def test_the_default_accuracy(fmu_dir, system, tmp_path, monkeypatch, suggested,
     system = replace(system, suggestion=suggestion)
     monkeypatch.setattr("orchestrator.ssp.load.load", lambda *_: system)
     out = tmp_path / "trace.csv"
-    options = {"stop": 0.2, "default_accuracy": 1e-3, "isolate": False} | choices
-    result, _ = run_to_file(fmu_dir / "harvester.ssp", None, out, **options)
+    options = chosen(RunOptions, {"stop": 0.2, "isolate": False} | choices, "run")
+    result, _ = run_to_file(fmu_dir / "harvester.ssp", None, out, default_accuracy=1e-3, options=options)
     assert any(n.startswith("accuracy") for n in result.card.notes) == note
     assert [p.name for p in tmp_path.iterdir() if "partial" in p.name] == []
 
@@ -363,7 +369,8 @@ def test_failed_runs_leave_no_file(open_oscillator, tmp_path, monkeypatch):
     monkeypatch.setattr("orchestrator.data.trace_writer.MAX_KEPT", 0)  # the rows are only in the file
     monkeypatch.setattr("orchestrator.ssp.load.load", lambda *_: open_oscillator)
     out = tmp_path / "trace.csv"
-    result, summary = run_to_file(tmp_path, None, out, stop=1.0, accuracy=1e-2, isolate=False)
+    options = RunOptions(stop=1.0, accuracy=1e-2, isolate=False)
+    result, summary = run_to_file(tmp_path, None, out, options=options)
     assert " in run " in result.card.notes[-1]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["trace.csv", "trace.run.json"]
     assert str(out) in summary

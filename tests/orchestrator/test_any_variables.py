@@ -11,6 +11,7 @@ from kit.mistakes import problem
 from orchestrator import Trace, assemble, run
 from orchestrator.base.units import LinearTransformation
 from orchestrator.engine.job import Job
+from orchestrator.engine.options import RunOptions
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import Connection
 
@@ -219,8 +220,8 @@ def test_a_ramp_of_a_microsecond_is_a_jump_at_its_end(fmus):
     rows = Trace(time, {"u": np.array([1.0, 1, 4, 4, 0, 0, 1, 1])})
     trace = run(str(fmus["drift"]), rows, step=1.0, record=["drift.u"]).trace
     np.testing.assert_array_equal(trace["drift.u"], [1, 1, 0, 1])
-    assert Job.of(str(fmus["drift"]), rows, {"step": 1.0}).times.divided == (1.2 + 2e-9,)
-    adaptive = {"master": Coupling("jacobi", adaptive=1e-3), "record_step": 1.0}
+    assert Job.of(str(fmus["drift"]), rows, RunOptions(step=1.0)).times.divided == (1.2 + 2e-9,)
+    adaptive = RunOptions(coupling=Coupling("jacobi", adaptive=1e-3), record_step=1.0)
     times = Job.of(str(fmus["drift"]), rows, adaptive).times
     assert times.divided == (1.2 + 2e-9, 2.2, 2.3)
 

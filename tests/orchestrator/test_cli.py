@@ -185,10 +185,10 @@ def test_help_starts_fast():
 
 
 def test_a_run_imports_few_modules(fmu_dir, tmp_path):
-    """`harvester run` needs at most 51 modules of the project, packages not counted."""
+    """`harvester run` needs at most 52 modules of the project, packages not counted."""
     arguments = ["run", str(fmu_dir / "swing.fmu"), "--stop", "0.01", "--out", str(tmp_path / "run.csv")]
     code = f"import sys; from orchestrator.__main__ import main; main({arguments}); "
     code += "print(*(n for n, m in sys.modules.items() if not hasattr(m, '__path__')))"
     own = [n for n in in_new_process(code).splitlines()[-1].split() if n.startswith("orchestrator.")]
     assert "orchestrator.engine.run" in own
-    assert len(own) <= 51, own
+    assert len(own) <= 52, own

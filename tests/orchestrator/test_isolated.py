@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -16,6 +17,8 @@ from orchestrator import Problem, RunFailed, assemble, load, read_trace, run, wr
 from orchestrator.engine import isolated
 from orchestrator.engine import run as runs
 from orchestrator.engine.accuracy import AccuracySearch
+from orchestrator.engine.job import Request
+from orchestrator.engine.options import RunOptions
 from orchestrator.engine.run import run_to_file
 
 posix = needs("POSIX", "faults and limits of POSIX")
@@ -50,8 +53,8 @@ def test_a_run_says_in_advance_what_it_takes_and_is_refused_if_it_cannot_fit(fmu
     """Steps, rows and bytes, in one line, before the first step."""
 
     def told(**options):
-        options["accept"] = Mock(side_effect=Problem("not now"))
-        return problem(lambda: run_to_file(fmus["gain"], None, tmp_path / "t.csv", **options))
+        given = {"accept": Mock(side_effect=Problem("not now")), "options": RunOptions(**options)}
+        return problem(lambda: run_to_file(fmus["gain"], None, tmp_path / "t.csv", **given))
 
     assert told(step=1e-7, stop=2.0, record_step=1.0) == "not now"
     size = "3 points of 2 signals, 1.4e-07 GB of values"
@@ -75,7 +78,8 @@ def test_the_numbers_are_those_of_a_run_in_this_process(oscillator):
 def test_the_file_has_the_rows_of_the_result(oscillator, tmp_path, suffix):
     """In memory, in the file, and in a run without a file: each signal has its own values."""
     system = write_ssp(oscillator, tmp_path / "o.ssp")
-    result, _ = run_to_file(system, None, tmp_path / f"t{suffix}", **STEPS, record_step=0.01)
+    options = RunOptions(**STEPS, record_step=0.01)
+    result, _ = run_to_file(system, None, tmp_path / f"t{suffix}", options=options)
     plain, stored = run(system, **STEPS).trace, read_trace(tmp_path / f"t{suffix}")
     assert [*result.trace.signals] == [*plain.signals] == [*stored.signals]
     for name, values in plain.signals.items():
@@ -186,7 +190,7 @@ def test_a_time_limit_is_one_for_all_runs(oscillator, monkeypatch):
     deadlines = []
 
     def noted(job, *arguments):
-        deadlines.append(job.options["deadline"])
+        deadlines.append(job.deadline)
         return run_isolated(job, *arguments)
 
     run_isolated = isolated.run_isolated
@@ -196,7 +200,8 @@ def test_a_time_limit_is_one_for_all_runs(oscillator, monkeypatch):
         run(oscillator, **options, time_limit=LONG)
         assert len(deadlines) > 1
         assert len(set(deadlines)) == 1
-    search = AccuracySearch(oscillator, {"accuracy": 1e-6, "time_limit": 1.0, "deadline": 0.0})
+    late = Request.of(oscillator, None, RunOptions(accuracy=1e-6, time_limit=1.0))
+    search = AccuracySearch(replace(late, deadline=0.0))
     assert not search.goes_on()  # after a run that failed, nor after one that is not accurate enough
     coarse = run(oscillator, **STEPS)
     assert not search.accepts(coarse)
@@ -231,7 +236,7 @@ def test_a_run_that_is_complete_keeps_its_file(tmp_path, monkeypatch, fault, tol
     monkeypatch.setattr(isolated, "CLOSE_TIME", 0.5)
     bad = faulty(tmp_path, fault, "free", name="bad")
     with pytest.raises(RunFailed, match=f"^the run is complete; then {told}") as failed:
-        run_to_file(bad.fmu, None, tmp_path / "a.csv", **STEPS)
+        run_to_file(bad.fmu, None, tmp_path / "a.csv", options=RunOptions(**STEPS))
     assert len(read_trace(tmp_path / "a.csv").time) == 101
     assert failed.value.result.complete
     assert not [*tmp_path.glob("*.partial*")]

@@ -22,7 +22,7 @@ VARIABLES = {name for group in GROUPS for name in quantities(group) if "_" in na
 WORDS = re.compile("swing|boom|slew|crane|curl|jib|grapple|yoke|manipulator|operator_input", re.IGNORECASE)
 ENERGY = ('"engine_power"', 'f"{c}.stored_energy"', 'f"{c}.convected_power"')
 EXEMPT = {
-    ("engine/arguments.py", '"joint=speed, such as boom=0.1"'): "the example in a message",
+    ("engine/options.py", '"joint=speed, such as boom=0.1"'): "the example in a message",
     **{("results/energy.py", part): "by which any FMU tells its energy" for part in ENERGY},
 }
 

@@ -2,7 +2,8 @@
 
 import subprocess
 import sys
-from dataclasses import fields
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +13,13 @@ from kit.ssp import gain, ssd, system
 
 from orchestrator import Coupling, batch, linearize, reference, run
 from orchestrator.__main__ import main
-from orchestrator.base.options import option_texts
+from orchestrator.base.options import chosen, given, option_texts
 from orchestrator.cli import app
 from orchestrator.engine import arguments
 from orchestrator.engine.job import open_slave
+from orchestrator.engine.options import RunOptions
 from orchestrator.engine.result import read_metadata
-from orchestrator.ssp.coupling import FIELDS, CouplingArguments, merge_choices
+from orchestrator.ssp.coupling import CouplingOptions
 
 GROUPS = {
     run: arguments.RunArguments,
@@ -25,6 +27,7 @@ GROUPS = {
     reference: arguments.ReferenceArguments,
     linearize: arguments.LinearArguments,
 }
+ROOT = Path(__file__).parents[2]
 COMMANDS = typer.main.get_command(app).commands
 
 
@@ -69,10 +72,24 @@ def test_the_default_that_a_text_states_is_what_happens(fmus, zip_ssp):
     assert given == [1e-4, 1e-6]
 
 
-def test_the_options_of_a_coupling_are_its_fields():
-    """In the same order, by the same names but one."""
-    names = [FIELDS.get(name, name) for name in CouplingArguments.__annotations__]
-    assert names == [field.name for field in fields(Coupling)]
+def test_the_keywords_are_those_of_the_records(monkeypatch):
+    """engine/arguments.py is what tools/keywords.py makes of engine/options.py."""
+    monkeypatch.syspath_prepend(ROOT / "tools")
+    keywords = import_module("keywords")
+    assert keywords.FILE.read_text("utf-8") == keywords.text()
+
+
+def test_a_record_tells_what_was_chosen():
+    """By the names of the options, whether they are of the coupling or not; defaults and None are not."""
+    options = {"stop": "2000 ms", "coupling_tolerance": 1e-6, "master": "hermite", "cut": "a.*", "yes": None}
+    record = chosen(RunOptions, options, "run")
+    assert (record.stop, record.cut, record.coupling.tolerance) == (2.0, ("a.*",), 1e-6)
+    assert given(record) == {n: v for n, v in options.items() if n != "yes"} | {"stop": 2.0, "cut": ("a.*",)}
+    assert chosen(RunOptions, given(record), "run") == record
+    assert given(chosen(RunOptions, {"master": Coupling("jacobi", order=1)}, "run")) == {
+        "master": "jacobi",
+        "order": 1,
+    }
 
 
 @pytest.mark.parametrize("function", GROUPS, ids=lambda function: function.__name__)
@@ -123,11 +140,11 @@ def test_a_wrong_value_or_a_choice_without_effect_is_told(choices, message):
 def test_choices_add_to_the_usual_ones_unless_they_name_a_master():
     """Single choices change, factors by component; a master replaces the others."""
     usual = Coupling("hermite", passes=3, factors={"a": 2, "b": 3})
-    merged = merge_choices({"passes": 2, "factors": {"a": 5}}, usual)
+    merged = CouplingOptions(passes=2, factors={"a": 5}).added_to(usual)
     assert merged == Coupling("hermite", passes=2, factors={"a": 5, "b": 3})
-    assert merge_choices({"master": "hermite", "order": 2}, usual) == Coupling("hermite", order=2)
-    assert merge_choices({}, None) == Coupling() == Coupling("gauss-seidel")
-    problem(lambda: merge_choices({"passes": 2}, Coupling("jacobi")), "expected the master hermite")
+    assert CouplingOptions("hermite", order=2).added_to(usual) == Coupling("hermite", order=2)
+    assert CouplingOptions().added_to(None) == Coupling() == Coupling("gauss-seidel")
+    problem(lambda: CouplingOptions(passes=2).added_to(Coupling("jacobi")), "expected the master hermite")
 
 
 def test_the_text_tells_what_is_not_usual():

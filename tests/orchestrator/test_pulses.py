@@ -16,6 +16,8 @@ from benchmarks.not_harvesters import KINDS, fmu, library
 from orchestrator import RunFailed, assemble, run
 from orchestrator.data.trace import Trace
 from orchestrator.engine.accuracy import AccuracySearch
+from orchestrator.engine.job import Request
+from orchestrator.engine.options import RunOptions
 from orchestrator.engine.result import Card, Result, SignalError
 
 STEP, ROWS, FINER = 1e-3, 501, 1000
@@ -121,7 +123,7 @@ def test_looks_change_no_bit_and_smooth_loops_have_no_remark(tmp_path, monkeypat
 def test_a_refusal_below_the_accuracy_has_the_limit(tmp_path):
     """An estimate is accepted up to a part of the accuracy, which the message then says."""
     system = loop_of(tmp_path, "told", CHOPPER)
-    search = AccuracySearch(system, {"accuracy": 1e-2, "accuracy_of": ["c.y0"]})
+    search = AccuracySearch(Request.of(system, None, RunOptions(accuracy=1e-2, accuracy_of=("c.y0",))))
     errors = (SignalError("c.y0", 6.6e-3, 6.6e-3, change=6.6e-3),)
     card = Card(master="any", step=1e-3, errors=errors, errors_of_inputs=True)
     result = Result(system, Trace(np.zeros(1), {}), card)

@@ -19,7 +19,7 @@ from orchestrator.__main__ import main
 from orchestrator.base import files
 from orchestrator.base.options import declarations
 from orchestrator.data.trace import as_trace
-from orchestrator.engine.arguments import DEFAULT_ACCURACY, AccuracyArguments, RunArguments
+from orchestrator.engine.options import DEFAULT_ACCURACY, AccuracyOptions, RunOptions
 
 TIME = np.linspace(0.0, 2.0, 201)
 SIGNALS = {"arm.boom_speed": np.sin(TIME), "arm.boom_angle": 1 - np.cos(TIME), "oil.boom_speed": TIME}
@@ -52,10 +52,10 @@ def test_traces_are_equal_if_all_their_values_are():
 def test_the_signature_of_run_has_every_option():
     """A prompt completes them, and they are what `run` accepts."""
     names = set(inspect.signature(run).parameters)
-    assert names == {"system", "scenario", *declarations(RunArguments)}
+    assert names == {"system", "scenario", *declarations(RunOptions)}
     assert inspect.signature(run).parameters["stop"].default is None
     # one place in the code has the default accuracies; the text of the option names both
-    told = " ".join(AccuracyArguments.__doc__.split())
+    told = " ".join(AccuracyOptions.__doc__.split())
     for before, name in (("all FMUs have directional derivatives", "run"), ("validate", "validate")):
         assert f"{before}: {DEFAULT_ACCURACY[name]:.0e}".replace("e-0", "e-") in told
 

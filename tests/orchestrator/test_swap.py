@@ -12,7 +12,9 @@ from kit.mistakes import problem, refused, table
 
 from orchestrator import Problem, assemble, load, run
 from orchestrator.__main__ import main
+from orchestrator.base.options import chosen
 from orchestrator.base.units import LinearTransformation
+from orchestrator.engine.options import RunOptions
 from orchestrator.results.validate_system import Experiment, validate_system
 from orchestrator.ssp.swap import with_swaps
 
@@ -51,8 +53,8 @@ def test_a_swapped_twin_gives_the_same_numbers(fmus, fmus3, oscillator):
 
 def test_variants_lie_beside_the_system(bench):
     """By name; a name that ends in .fmu is a path."""
-    for chosen in ("fine", "build/variants/g_coarse.fmu", Path("build/variants/g_coarse.fmu")):
-        result = run(bench, step=0.5, stop=1.0, swap={"g": chosen})
+    for variant in ("fine", "build/variants/g_coarse.fmu", Path("build/variants/g_coarse.fmu")):
+        result = run(bench, step=0.5, stop=1.0, swap={"g": variant})
         np.testing.assert_array_equal(result.trace["result"], 2.0)
         assert "build/variants/g_" in result.card.notes[0]
 
@@ -211,7 +213,9 @@ def validated(reference="m.csv", scenario=None, default=("none.csv", "none.toml"
     files = [name and Path(name) for name in (scenario, reference)]
     own = {name: options.pop(name) for name in [*options] if name in Experiment.__dataclass_fields__}
     system, options = Path("build/harvester.ssp").resolve(), options | {"step": 0.5}
-    experiment = Experiment(system, tuple(map(Path, default)), *files, options=options, **own)
+    experiment = Experiment(
+        system, tuple(map(Path, default)), *files, options=chosen(RunOptions, options, "run"), **own
+    )
     return validate_system(experiment, Path("out"))[1]
 
 

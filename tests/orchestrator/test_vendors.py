@@ -9,6 +9,7 @@ from kit.mistakes import problem, refused, table
 
 from orchestrator import Coupling, load, run
 from orchestrator.__main__ import main
+from orchestrator.ssp.coupling import CouplingOptions
 
 SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 PAIR = Path(__file__).with_name("pair.ssd").read_text(encoding="utf-8")  # two coupled masses
@@ -72,7 +73,7 @@ def test_the_step_and_the_master_of_another_tool_are_followed(make, case):
 def test_the_card_claims_no_more_than_was_followed(make, options, told):
     """The note names given options that replace the annotation; a given master replaces all of it."""
     system = load(make(in_system=FIXED))
-    system = system.coupled(options["coupling"]) if "coupling" in options else system
+    system = system.coupled(CouplingOptions(**options.get("coupling", {})))
     own = {name: value for name, value in options.items() if name != "coupling"}
     notes = [note for note in run(system, **own).card.notes if "annotation" in note]
     said = f"coupled according to the annotation of OMSimulator in {system.source}"

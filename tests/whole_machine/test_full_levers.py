@@ -11,12 +11,15 @@ from fmus.machine.parts import FAMILIES
 from fmus.parameters import values
 from fmus.supply import rail
 from orchestrator import Coupling, Trace, batch, run
+from orchestrator.base.options import chosen
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.engine.job import Job
+from orchestrator.engine.options import RunOptions
 from orchestrator.lanes.environment import MachinesEnv
 from orchestrator.lanes.group import Group, Lanes
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.realtime.stepping import FrameStepper
+from orchestrator.ssp.coupling import CouplingOptions
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.write import write_ssp
 from orchestrator.studies import Choice, Output, Study, sweep
@@ -27,7 +30,9 @@ FULL = {"time": [0.0, 0.2, 0.5, 1.2]} | {name: [0.0, 0.0, v, v] for name, v in L
 SPEEDS = [f"manipulator.{name}" for name in ("boom_velocity", "stick_velocity", "swing_speed")]
 FLOWS = ["supply.pump_flow", "supply.supply_flow", "supply.rail_leakage_flow", "supply.relief_flow"]
 OPTIONS = {"stop": 1.2, "record": [*SPEEDS, *FLOWS], "record_step": 0.01}
-RAW = {"guard": 0.0}  # without the guard that follows from the suggested step: a spurious steady state
+RAW = CouplingOptions(
+    guard=0.0
+)  # without the guard that follows from the suggested step: a spurious steady state
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +43,7 @@ def today(system):
 
 def in_lanes(machine, lanes, numbers, **options):
     """A group of machines with full levers after its run; `numbers` by port."""
-    job = Job.of(machine, FULL, {**options, "record": SPEEDS})
+    job = Job.of(machine, FULL, chosen(RunOptions, {**options, "record": SPEEDS}, "run"))
     group = Group(Lanes(job, [job.system.port(name) for name in SPEEDS]))
     rows = [np.full((lanes, job.times.rows), np.nan) for _ in SPEEDS]
     group.run(0, {job.system.port(name): np.array(v) for name, v in numbers.items()}, rows, lanes)

@@ -15,9 +15,11 @@ from orchestrator import batch, compare, linearize, load, read_recording, read_t
 from orchestrator.__main__ import main
 from orchestrator.base import files
 from orchestrator.base.errors import Problem
+from orchestrator.base.options import chosen
 from orchestrator.base.units import doubt
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.engine.job import Job
+from orchestrator.engine.options import RunOptions
 from orchestrator.results.comparison_report import report
 from orchestrator.ssp.plausible import doubtful_signals
 from orchestrator.ssp.system import System
@@ -40,7 +42,7 @@ COLUMNS = [
 
 def warnings(system: System, *arguments, **options) -> tuple[str, ...]:
     """What a run would warn of before its first step."""
-    return Job.of(system, *arguments, options=options).system.warnings
+    return Job.of(system, *arguments, options=chosen(RunOptions, options, "run")).system.warnings
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +187,7 @@ def test_a_scenario_in_ms_is_refused(systems, built, tmp_path, capsys):
     path = write_trace(replace(line, time=1000 * line.time), tmp_path / "line_in_ms.csv")
     told = refused(capsys, ["track", built / "harvester_control.ssp", "--path", path, "--out", tmp_path])
     assert "path line_in_ms: scenario: time = 21800 s" in told
-    job = Job.of(systems[""], file, {"yes": True})
+    job = Job.of(systems[""], file, RunOptions(yes=True))
     assert (job.times.stop, doubt in job.system.warnings) == (8000.0, True)
     arguments = ["--scenario", str(file), "--stop", "0.01", "--out", str(tmp_path / "run.csv")]
     assert main(["run", system, *arguments]) == 0

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
 from orchestrator.base.files import Location, make_folder, require_system
-from orchestrator.base.options import checked, seconds, taken
+from orchestrator.base.options import chosen, seconds
 from orchestrator.base.progress import doing
 from orchestrator.base.signals import matching, span
 from orchestrator.base.text import grouped
@@ -31,9 +31,10 @@ from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME, Trace, rounding
 from orchestrator.engine.arguments import CaseArguments
-from orchestrator.engine.job import Job
+from orchestrator.engine.job import Job, Request
+from orchestrator.engine.options import CaseOptions, RunOptions, same
 from orchestrator.engine.result import widest_of_unit
-from orchestrator.engine.run import run
+from orchestrator.engine.run import co_simulate
 from orchestrator.engine.scenario import ScenarioSource, read_scenario
 from orchestrator.lanes.group import Status
 from orchestrator.lanes.many import Runs, archives_of, many
@@ -179,14 +180,15 @@ def finest_run(
     patterns: Sequence[str],
     steps: Sequence[float],
     scenario: ScenarioSource = None,
-    **options: Unpack[CaseArguments],
+    options: CaseOptions | None = None,
 ) -> Recording:
     """The solution if there is no recording: the outputs of `hermite` with half the smallest step."""
     outputs = [str(port) for port in system.ports("output") if system.variable(port).is_real]
     for pattern in patterns:
         _matching(pattern, outputs)
     step = min(steps) / 2
-    result = run(system, scenario, master=FINEST, step=step, record=outputs, **options)
+    asked = same(RunOptions, options or CaseOptions(), coupling=FINEST, step=step, record=tuple(outputs))
+    result = co_simulate(Request.of(system, scenario, asked))
     return run_as_reference(f"hermite at {milliseconds(step)}", result.trace, patterns, DEFAULT_QUANTITIES)
 
 
@@ -402,7 +404,7 @@ def run_settings(
     scenario: ScenarioSource = None,
     done: list[SettingRun] | None = None,
     client: Client | None = None,
-    **options: Unpack[CaseArguments],
+    options: CaseOptions | None = None,
 ) -> list[SettingRun]:
     """Run every setting at every step, one after the other, so that their times can be compared.
 
@@ -414,13 +416,12 @@ def run_settings(
 
     A plain setting without such inputs would equal that of order 0, and is left out.
     """
-    start, stop = seconds(options.get("start"), "start"), seconds(options.get("stop"), "stop")
-    start = (system.start or 0.0) if start is None else start
-    _check(reference, system, start, stop, steps)
+    options = options or CaseOptions()
+    start = (system.start or 0.0) if options.start is None else options.start
+    _check(reference, system, start, options.stop, steps)
     rates = rate_inputs(system) if rates is None else tuple(rates)
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference]
-    own = checked(CaseArguments, options, "run_settings")
-    given: dict[str, Any] = {**own, "record": list(dict.fromkeys(ports))}
+    given = same(RunOptions, options, record=tuple(dict.fromkeys(ports)))
     done, scenario = [] if done is None else done, read_scenario(scenario)
     chosen = [setting for setting in settings if rates or not setting.without_rates]
     plans = [SettingRun(s, step) for s in chosen for step in sorted(steps)[: 1 if s.adaptive else None]]
@@ -428,8 +429,8 @@ def run_settings(
     def job(plan: SettingRun) -> Job:
         setting, step = plan.setting, plan.step
         record_step = _adaptive_record_step(reference, start) if setting.adaptive else step
-        own = {"master": setting.coupling, "step": step, "record_step": record_step}
-        return Job.of(system.without(*rates) if setting.without_rates else system, scenario, given | own)
+        own = replace(given, coupling=setting.coupling, step=step, record_step=record_step)
+        return Job.of(system.without(*rates) if setting.without_rates else system, scenario, own)
 
     with doing("the first run") as line:
         jobs, able = list[Job](), list[SettingRun]()
@@ -486,13 +487,13 @@ def convergence(
     if repeats < 1:
         raise Problem(f"repeats: expected at least 1, got {repeats}")
     settings = choose(masters)
-    given: dict[str, Any] = checked(CaseArguments, options, "convergence")
-    other_run = any(given.get(name) for name in OTHER_RUN) or scenario is not None
-    coupled = configured(require_system(system), **taken(given, "cut", "swap"))
+    given = chosen(CaseOptions, options, "convergence")
+    other_run = any(getattr(given, name) for name in OTHER_RUN) or scenario is not None
+    coupled = configured(require_system(system), cut=given.cut, swap=given.swap)
     if not coupled.connections:
         raise Problem(f"{system}: expected connected FMUs, got no connection: there is nothing to couple")
     make_folder(out)
-    given = {name: value for name, value in given.items() if value}
+    given = replace(given, cut=(), swap={})
     if reference is None and default_reference and not other_run:
         names = as_reference(read_recording(default_reference))
         reference = default_reference if set(names) <= set(coupled.names()) else None
@@ -500,13 +501,13 @@ def convergence(
         recording = read_recording(reference)
         solution, note = as_reference(recording, signals), another_model(coupled, recording)
     else:
-        solution = finest_run(coupled, signals, steps, scenario, **given)
+        solution = finest_run(coupled, signals, steps, scenario, given)
         note = f"no reference for this run: {solution.heading}, half the smallest step, is used instead"
     rates, runs = rate_inputs(coupled), list[SettingRun]()
     plain = rates and any(setting.without_rates for setting in settings)
     plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}" if plain else ""
     try:
-        run_settings(coupled, solution, settings, steps, repeats, rates, scenario, runs, client, **given)
+        run_settings(coupled, solution, settings, steps, repeats, rates, scenario, runs, client, given)
     finally:
         resting = f"{RESTING}: {solution.metadata[RESTING]}" if RESTING in solution.metadata else ""
         study = ConvergenceStudy(solution, tuple(runs), tuple(filter(None, (note, resting, plain_note))))
