@@ -275,11 +275,11 @@ def test_runs_on_a_cluster_have_the_same_errors_and_no_times(moving, truth):
     from distributed import Client
 
     chosen = choose(["jacobi order 1", "hermite", "interface-jacobian"])
-    here = run_settings(moving, truth, chosen, (5e-3, 1e-2), 1, stop=1.0)
+    here = run_settings(moving, truth, chosen, (5e-3, 1e-2), 1, options=SECOND)
     with Client(
         processes=False, n_workers=1, threads_per_worker=2, dashboard_address="127.0.0.1:0"
     ) as client:
-        there = run_settings(moving, truth, chosen, (5e-3, 1e-2), client=client, stop=1.0)
+        there = run_settings(moving, truth, chosen, (5e-3, 1e-2), client=client, options=SECOND)
     for one, other in zip(here, there, strict=True):
         plain = [replace(run, walls=(), errors=None) for run in (one, other)]
         assert plain[0] == plain[1]
