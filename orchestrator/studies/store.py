@@ -26,12 +26,12 @@ import platform
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import locket
 import numpy as np
@@ -146,7 +146,7 @@ def _parts(table: Path) -> list[Path]:
 def _opened(file: Path) -> Iterator[pq.ParquetFile]:
     """A file of a table, whose pages have checksums."""
     try:
-        with foreign(file, "a Parquet"), file.open("rb") as opened:
+        with foreign(file, "a Parquet"), _stream(file) as opened:
             yield pq.ParquetFile(opened, page_checksum_verification=True)
     except Problem as problem:
         remedy = "without it, the same command computes its runs again, and --fresh the whole study"
@@ -436,6 +436,10 @@ def _range_size(prepared: PreparedStudy) -> int:
     points = max(job.times.stop - job.times.start for job in cases.values()) / study.band_step + 1
     most = min(MOST_VALUES[0] / columns, MOST_VALUES[1] / (points * max(len(study.bands), 1)))
     return 1 << max(int(most), 1).bit_length() - 1
+
+
+def _stream(file: Path) -> AbstractContextManager[IO[bytes]]:
+    return Location(file).opened() if isinstance(file, Path) else file.open("rb")
 
 
 def _content(file: Path) -> bytes:

@@ -53,7 +53,7 @@ def in_lanes(machine, lanes, numbers, **options):
 def test_the_default_moves_as_the_reference(today):
     """Three levers at full within 0.3 s. Without the guard the boom has half of its speed."""
     truth = run(today, FULL, master="hermite", step=2.5e-4, **OPTIONS)
-    found, raw = run(today, FULL, **OPTIONS), run(today, FULL, **RAW, **OPTIONS)
+    found, raw = run(today, FULL, **OPTIONS), run(today, FULL, guard=RAW.guard, **OPTIONS)
     pump, *taken = (float(np.mean(found[name][50:])) for name in FLOWS)
     # the bar of the machine at full levers; measured 0.3 %
     assert pump == pytest.approx(sum(taken), rel=0.01)
@@ -112,7 +112,7 @@ TODAYS = (pytest.param(TODAY, master, marks=shards.machine) for master in ("gaus
 def test_energies_in_lanes_are_those_of_a_run(system, swap, master):
     """Each bond of an unguarded run, to rounding."""
     machine = with_swaps(system, swap)
-    options = {"stop": 0.5, "record_step": 0.01, "master": master, **RAW}
+    options = {"stop": 0.5, "record_step": 0.01, "master": master, "guard": RAW.guard}
     single = run(machine, FULL, record=SPEEDS, **options)
     energies = in_lanes(machine, 1, {}, **options).energies(0)
     for bond, other in zip(single.card.bonds, energies, strict=True):
@@ -146,7 +146,7 @@ def test_an_environment_tells_and_truncates(today):
         return MachinesEnv(today, 2, limits, SPEEDS, lambda o, _: o[:, 0], interval=0.25, **options)
 
     for truncate in (False, True):
-        env = environment(truncate_unreliable=truncate, **RAW)
+        env = environment(truncate_unreliable=truncate, guard=RAW.guard)
         env.reset(seed=1)
         for _ in range(3):
             *_, truncated, info = env.step(np.stack([full, rest]))
