@@ -621,8 +621,12 @@ class System:
                 changed[name] = replace(c, interface=interface)
         return replace(self, components=changed)
 
-    def coupled(self, choices: CouplingOptions) -> System:
-        """The system with other choices about the coupling: a master replaces those of the system's file."""
+    def coupled(self, choices: CouplingOptions | Mapping[str, Any]) -> System:
+        """The system with other choices about the coupling: a master replaces those of the system's file.
+
+        A mapping has the names of the fields of `Coupling`.
+        """
+        choices = choices if isinstance(choices, CouplingOptions) else CouplingOptions(**choices)
         return replace(self, suggestion=self.suggestion.with_choices(choices)) if choices.names else self
 
     def noted(self, *notes: str) -> System:

@@ -21,7 +21,7 @@ from orchestrator.engine.result import (
     unreliable_energies,
     unreliable_errors,
 )
-from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, CouplingOptions, Suggestion
+from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Suggestion
 from orchestrator.ssp.write import write_ssp
 
 ROUGH = {"master": "jacobi", "step": 0.02, "stop": 1.0}  # a delay of 0.02 s feeds the spring with energy
@@ -195,7 +195,7 @@ def test_what_is_chosen_is_not_guarded(oscillator):
     """A guard, adaptive steps; a long step of FMUs that suggest none, or that of the system."""
     system = suggesting(oscillator, 2.5e-4)
     for chosen in ({"guard": 0.0}, {"guard": 1e-3}, {"adaptive": 1e-3}, {"master": "hermite"}):
-        coupled = system.coupled(CouplingOptions(**chosen))
+        coupled = system.coupled(chosen)
         assert with_default_guard(coupled, 1e-3) is coupled
     for step in (None, 1e-3):
         usual = suggesting(oscillator, step)
