@@ -29,7 +29,7 @@ from typing import Any, Literal, TypedDict
 
 from orchestrator.base.options import KEYWORDS
 from orchestrator.engine import options
-from orchestrator.ssp.coupling import Coupling
+from orchestrator.ssp.coupling import Coupling, CouplingOptions
 from orchestrator.ssp.masters import Master
 '''
 
@@ -68,18 +68,14 @@ def accepted(hint: Any) -> Iterator[str]:
 
 
 def keywords(group: Any) -> Iterator[str]:
-    """The lines of a group."""
-    name, bases = group.__name__, [base.__name__ for base in group.__bases__ if is_dataclass(base)]
-    yield f"class {keyword_name(name)}({', '.join(map(keyword_name, bases)) or 'TypedDict'}, total=False):"
-    yield f'    """Keywords of `{name}`."""\n'
+    """The lines of a group; a field that is a group has its keywords among the bases."""
     hints = get_type_hints(group, include_extras=True)
-    for field in vars(group).get("__annotations__", {}):
-        if is_dataclass(hints[field]):
-            inner = get_type_hints(hints[field], include_extras=True)
-            for own, hint in inner.items():
-                yield line(own, hint)
-        else:
-            yield line(field, hints[field])
+    own = [name for name in vars(group).get("__annotations__", {}) if not is_dataclass(hints[name])]
+    inner = [hints[name] for name in vars(group).get("__annotations__", {}) if is_dataclass(hints[name])]
+    bases = [keyword_name(base.__name__) for base in (*group.__bases__, *inner) if is_dataclass(base)]
+    yield f"class {keyword_name(group.__name__)}({', '.join(bases) or 'TypedDict'}, total=False):"
+    yield f'    """Keywords of `{group.__name__}`."""\n'
+    yield from (line(name, hints[name]) for name in own)
     yield "\n"
 
 
@@ -95,17 +91,17 @@ def keyword_name(group: str) -> str:
     return group.replace("Options", "Arguments")
 
 
+def _place(group: Any, module: Any) -> str:
+    return "options." if group.__module__ == module.__name__ else ""
+
+
 def text() -> str:
     """The content of the file."""
     from orchestrator.engine import options
 
-    groups = [
-        group
-        for group in vars(options).values()
-        if is_dataclass(group) and isinstance(group, type) and group.__module__ == options.__name__
-    ]
+    groups = [group for name, group in vars(options).items() if name.endswith("Options")]
     lines = [line for group in groups for line in keywords(group)]
-    table = [f"    {keyword_name(g.__name__)}: options.{g.__name__}," for g in groups]
+    table = [f"    {keyword_name(g.__name__)}: {_place(g, options)}{g.__name__}," for g in groups]
     source = "\n".join([HEAD, *lines, "KEYWORDS |= {", *table, "}", ""])
     command = [sys.executable, "-m", "ruff", "format", "--stdin-filename", str(FILE), "-"]
     return subprocess.run(command, input=source, capture_output=True, text=True, check=True).stdout

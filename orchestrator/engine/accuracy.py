@@ -138,14 +138,17 @@ class AccuracySearch:
     @property
     def request(self) -> Request:
         """That of the next run, which records the signals that decide."""
-        settings, record = self.settings, self._given.options.record
-        return self._given.with_options(
+        settings, given = self.settings, self._given.options
+        record = None if given.record is None else (*given.record, *self.decisive, *self._sources.causes)
+        options = replace(
+            given,
             coupling=settings.coupling,
             step=settings.step,
             tolerance=settings.tolerance,
             error_estimate=True,
-            record=None if record is None else (*record, *self.decisive, *self._sources.causes),
+            record=record,
         )
+        return self._given.with_options(options)
 
     def _first(self) -> Settings:
         longest = self._sources.longest

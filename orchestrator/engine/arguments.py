@@ -11,8 +11,22 @@ from typing import Any, Literal, TypedDict
 
 from orchestrator.base.options import KEYWORDS
 from orchestrator.engine import options
-from orchestrator.ssp.coupling import Coupling
+from orchestrator.ssp.coupling import Coupling, CouplingOptions
 from orchestrator.ssp.masters import Master
+
+
+class CouplingArguments(TypedDict, total=False):
+    """Keywords of `CouplingOptions`."""
+
+    master: Coupling | str | Master | None
+    order: int | None
+    passes: int | None
+    coupling_tolerance: float | None
+    factors: Mapping[str, int] | None
+    adaptive: float | None
+    guard: float | None
+    smallest: float | str | None
+    largest: float | str | None
 
 
 class SystemArguments(TypedDict, total=False):
@@ -93,18 +107,8 @@ class CaseArguments(SystemArguments, SpanArguments, total=False):
     """Keywords of `CaseOptions`."""
 
 
-class CoupledArguments(CaseArguments, StepArguments, AccuracyArguments, total=False):
+class CoupledArguments(CaseArguments, StepArguments, AccuracyArguments, CouplingArguments, total=False):
     """Keywords of `CoupledOptions`."""
-
-    master: Coupling | str | Master | None
-    order: int | None
-    passes: int | None
-    coupling_tolerance: float | None
-    factors: Mapping[str, int] | None
-    adaptive: float | None
-    guard: float | None
-    smallest: float | str | None
-    largest: float | str | None
 
 
 class CommandArguments(
@@ -123,18 +127,9 @@ class RunArguments(CommandArguments, ProcessArguments, total=False):
     """Keywords of `RunOptions`."""
 
 
-class MachinesArguments(SystemArguments, StepArguments, SolverArguments, total=False):
+class MachinesArguments(SystemArguments, StepArguments, SolverArguments, CouplingArguments, total=False):
     """Keywords of `MachinesOptions`."""
 
-    master: Coupling | str | Master | None
-    order: int | None
-    passes: int | None
-    coupling_tolerance: float | None
-    factors: Mapping[str, int] | None
-    adaptive: float | None
-    guard: float | None
-    smallest: float | str | None
-    largest: float | str | None
     workers: int | None
 
 
@@ -164,6 +159,7 @@ class LinearArguments(SystemArguments, total=False):
 
 
 KEYWORDS |= {
+    CouplingArguments: CouplingOptions,
     SystemArguments: options.SystemOptions,
     SpanArguments: options.SpanOptions,
     StepArguments: options.StepOptions,

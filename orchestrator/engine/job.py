@@ -101,9 +101,9 @@ class Request:
         """Has the time limit passed?"""
         return time.monotonic() >= self.deadline
 
-    def with_options(self, **changes: Any) -> Request:
+    def with_options(self, options: RunOptions) -> Request:
         """The request with other choices, except of those that the system has already."""
-        return replace(self, options=replace(self.options, **changes))
+        return replace(self, options=options)
 
     def job(self) -> Job:
         """The job of the run; raises Problem for a mistake."""

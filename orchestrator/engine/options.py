@@ -276,7 +276,7 @@ GROUPS += [
 Group = TypeVar("Group")
 
 
-def same(group: type[Group], options: object, **changes: Any) -> Group:
-    """The choices of another group that this one has, too; changes: other choices."""
-    names = [f.name for f in fields(group) if hasattr(options, f.name)]  # type: ignore[arg-type]
-    return group(**{name: getattr(options, name) for name in names} | changes)
+def same(group: type[Group], options: object) -> Group:
+    """The choices of another group that this one has, too."""
+    names = [f.name for f in fields(group) if hasattr(options, f.name)]  # type: ignore[arg-type]  # a dataclass
+    return group(**{name: getattr(options, name) for name in names})

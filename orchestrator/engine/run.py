@@ -234,7 +234,7 @@ def run_to_file(
     loaded, step, choices = request.system, given.step, given.coupling
     parts = given.accuracy is not None or given.save_state is not None or given.resume is not None
     if default_accuracy and not parts and chooses_freely(loaded, step, choices):
-        request = request.with_options(accuracy=default_accuracy)
+        request = request.with_options(replace(request.options, accuracy=default_accuracy))
     if given.record_step is None:
         coupled = loaded.coupled(choices)
         adaptive = coupled.coupling is not None and coupled.coupling.adaptive is not None
@@ -242,7 +242,7 @@ def run_to_file(
             interval = None if every_point else RECORD_STEP
         else:
             interval = record_interval(step_length(coupled, step))
-        request = request.with_options(record_step=interval)
+        request = request.with_options(replace(request.options, record_step=interval))
     make_folder(out.parent)
     output = _Output(out, given, None if isinstance(scenario, Trace) else scenario, accept)
     try:

@@ -129,8 +129,8 @@ def batch(
     if given.workers and client:
         raise Problem("batch: workers: expected none with a client, whose cluster has its own")
     where = client or given.workers or available_cores()
-    recorded = (record,) if isinstance(record, str) else record and tuple(record)
-    job = Job.of(system, scenario, same(RunOptions, given, record=recorded))
+    recorded = None if record is None else (record,) if isinstance(record, str) else tuple(record)
+    job = Job.of(system, scenario, replace(same(RunOptions, given), record=recorded))
     if job.coupling.method.own:
         got = f"got {job.coupling.method.name}, whose functions are in the calling process"
         raise Problem(f"batch: expected one of the masters {', '.join(MASTERS)}, {got}")

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Unpack
 
@@ -52,7 +53,8 @@ class Machines:
         held = {"time": [0.0, FOREVER], **{name: [0.0, 0.0] for name in commands}}
         given = chosen(MachinesOptions, options, "Machines")
         workers = given.workers
-        self._job = Job.of(system, held, same(RunOptions, given, record=tuple(signals), stop=FOREVER))
+        asked = replace(same(RunOptions, given), record=tuple(signals), stop=FOREVER)
+        self._job = Job.of(system, held, asked)
         self.system = self._job.system
         lanes = Lanes(self._job, [self._job.system.port(name) for name in signals])
         self.count, self.step = count, self._job.times.step

@@ -91,7 +91,7 @@ def reference(
     require("reference", "the reference solution", "sksundae")
 
     other = configured(system, cut=given.cut, swap=given.swap)
-    rest = same(RunOptions, given, cut=(), swap={}, tolerance=None, progress=progress)
+    rest = replace(same(RunOptions, given), cut=(), swap={}, tolerance=None, progress=progress)
     try:
         return _solve(other, scenario, record_step, tolerance, replace(rest, record_step=None))
     except NotExchangeable as problem:

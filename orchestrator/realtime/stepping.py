@@ -228,7 +228,7 @@ class FrameStepper:
     def __init__(self, setup: Setup) -> None:
         """Raises Problem for a mistake in the setup."""
         setup.check()
-        of_setup = same(RunOptions, setup, record=tuple(setup.signals), fault={})
+        of_setup = replace(same(RunOptions, setup), record=tuple(setup.signals), fault={})
         request = Request.of(setup.system, None, of_setup)
         system = request.system
         times, self._steps = _grid(system, system.coupling or Coupling(), setup)
@@ -248,7 +248,8 @@ class FrameStepper:
             columns = {n: np.full(2, value) for n, value in zip(names, first, strict=True)}
             at_rest = Trace(self._ramp.arrays[0].copy(), columns)
         driving = replace(request, scenario=ScenarioFile(at_rest, "axes", None))
-        job = driving.with_options(stop=times.start + self._steps * times.step).job()
+        stop = times.start + self._steps * times.step
+        job = driving.with_options(replace(driving.options, stop=stop)).job()
         driven = job.scenario and replace(job.scenario, table=self._ramp)
         job = replace(job, scenario=driven, times=times)
         self._times = times

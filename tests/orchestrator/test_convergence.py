@@ -13,7 +13,6 @@ from kit.mistakes import problem, refused, table
 from orchestrator import Trace, assemble, run, write_trace
 from orchestrator.__main__ import main
 from orchestrator.data.recording import read_recording
-from orchestrator.engine.options import CaseOptions
 from orchestrator.pages.plotting import draw
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.studies.convergence.convergence_report import (
@@ -37,8 +36,6 @@ from orchestrator.studies.convergence.convergence_study import (
 
 SSD = Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8")  # the oscillator
 META = Path(__file__).with_name("test_convergence_exact.toml").read_text(encoding="utf-8")
-
-SECOND = CaseOptions(stop=1.0)
 
 
 @pytest.fixture(scope="session")
@@ -71,7 +68,7 @@ def numbers():
 @pytest.mark.parametrize(("label", "expected"), [("jacobi order 0", 1), ("gauss-seidel order 2", 3)])
 def test_orders_of_convergence(moving, truth, label, expected):
     """The order of a study is that of the master (test_orders.py has all of them), and the table shows it."""
-    rows = tuple(run_settings(moving, truth, choose([label]), (2e-3, 4e-3), 1, options=SECOND))
+    rows = tuple(run_settings(moving, truth, choose([label]), (2e-3, 4e-3), 1, stop=1.0))
     found = ConvergenceStudy(truth, rows)
     # at 0.13 rad of the fast oscillation per step the next term of the error expansion is felt
     assert found.order(rows[1], "position") == pytest.approx(expected, abs=0.2)
@@ -82,7 +79,7 @@ def test_orders_of_convergence(moving, truth, label, expected):
 
 def test_runs_that_leave_the_reference_are_unstable(moving, truth):
     """An error that grows beyond the range of the signal is reported as unstable instead of as a number."""
-    rows = tuple(run_settings(moving, truth, choose(["jacobi order 2"]), (1e-3, 5e-2), 1, options=SECOND))
+    rows = tuple(run_settings(moving, truth, choose(["jacobi order 2"]), (1e-3, 5e-2), 1, stop=1.0))
     found = ConvergenceStudy(truth, rows)
     assert [row.stable for row in rows] == [True, False]
     assert error_table(found, "position").rows[0][2] == UNSTABLE
@@ -97,7 +94,7 @@ def test_runs_that_fail_are_rows(fmus):
     system = assemble({"s": fmus["source"], "f": fmus["fails"]}, ["s.y -> f.u"], {"f.how": 3, "f.when": 0.5})
     sine = run_as_reference("sine", Trace(np.arange(101) * 0.01, {"s.y": np.sin(np.arange(101) * 0.01)}))
     chosen = choose(["jacobi order 0", "gauss-seidel order 0"])
-    rows = tuple(run_settings(system, sine, chosen, (0.01,), options=SECOND))
+    rows = tuple(run_settings(system, sine, chosen, (0.01,), stop=1.0))
     assert [row.stable for row in rows] == [False, False]
     assert [row.simulated for row in rows] == [pytest.approx(0.5)] * 2  # rounding of 50 steps
     assert all("the pump broke" in line for line in failures(ConvergenceStudy(sine, rows)))
@@ -111,13 +108,13 @@ def test_a_master_that_the_fmus_do_not_support_is_a_row(fmus):
     time = np.arange(101) * 0.01
     ramp = run_as_reference("ramp", Trace(time, {"d.y": 1 - np.cos(time)}))
     chosen = choose(["jacobi order 0", "hermite adaptive"])
-    first, *others = run_settings(system, ramp, chosen, (1e-2,), 1, options=SECOND)
+    first, *others = run_settings(system, ramp, chosen, (1e-2,), 1, stop=1.0)
     assert not first.refusal
     assert len(others) == 4
     (failure,) = failures(ConvergenceStudy(ramp, tuple(others)))
     assert failure.startswith("hermite adaptive: not possible: adaptive steps: expected FMUs with"), failure
     problem(
-        lambda: run_settings(system, ramp, chosen[1:], (1e-2,), 1, options=SECOND),
+        lambda: run_settings(system, ramp, chosen[1:], (1e-2,), 1, stop=1.0),
         others[0].refusal,
     )
 
@@ -125,7 +122,7 @@ def test_a_master_that_the_fmus_do_not_support_is_a_row(fmus):
 def test_adaptive_settings_have_a_column_of_their_own(moving, truth):
     """A row for each tolerance with its error and mean step; without them there is no such column."""
     chosen = choose(["hermite adaptive", "jacobi order 0"])
-    found = ConvergenceStudy(truth, tuple(run_settings(moving, truth, chosen, (5e-3,), 1, options=SECOND)))
+    found = ConvergenceStudy(truth, tuple(run_settings(moving, truth, chosen, (5e-3,), 1, stop=1.0)))
     table = error_table(found, "position")
     assert table.head[-1] == OWN_STEPS
     assert [line[0] for line in table.rows[1:]] == [f"hermite adaptive 1e-0{n}" for n in range(2, 6)]
@@ -144,9 +141,7 @@ def test_adaptive_settings_have_a_column_of_their_own(moving, truth):
 def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving):
     """Steps of 3 ms meet samples every 20 ms at each 60 ms; the error is that of these instants alone."""
     reference = as_reference(read_recording(folder / "exact.csv"))
-    (row,) = run_settings(
-        moving, reference, choose(["jacobi order 0"]), (3e-3,), 1, options=CaseOptions(stop=0.6)
-    )
+    (row,) = run_settings(moving, reference, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
     trace = run(moving, master="jacobi", step=3e-3, stop=0.6).trace
     every = reference["a.x"]
     apart = trace["a.x"][::20] - every[::3]
@@ -157,7 +152,7 @@ def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving
 
 def test_the_worst_signal_counts(moving, truth):
     """The error of a group is that of its worst signal, over the range of the truth, in any unit."""
-    (row,) = run_settings(moving, truth, choose(["jacobi order 0"]), (1e-2,), 1, options=SECOND)
+    (row,) = run_settings(moving, truth, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
     trace = run(moving, master="jacobi", step=1e-2, stop=1.0).trace
     shares = []
     for name, values in truth.items():
@@ -166,7 +161,7 @@ def test_the_worst_signal_counts(moving, truth):
     assert row.error("position") == pytest.approx(max(shares), rel=1e-12)  # rounding
     signals = {name: 1e3 * values for name, values in truth.items()}
     small = run_as_reference("exact", Trace(truth.time, signals, dict.fromkeys(signals, "mm")))
-    (same,) = run_settings(moving, small, choose(["jacobi order 0"]), (1e-2,), 1, options=SECOND)
+    (same,) = run_settings(moving, small, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
     assert same.error("position") == pytest.approx(row.error("position"), rel=1e-9)  # rounding
 
 
@@ -188,7 +183,7 @@ def test_plain_settings_leave_out_rate_connections(fmus):
     time = np.arange(101) * 0.01
     ramp = run_as_reference("sum", Trace(time, {"d.y": 1 - np.cos(time)}))
     chosen = choose(["jacobi plain", "jacobi order 0"])
-    plain, wired = run_settings(system, ramp, chosen, (0.01,), 1, options=SECOND)
+    plain, wired = run_settings(system, ramp, chosen, (0.01,), 1, stop=1.0)
     lost = {row.setting.label: row.errors["d.y"].metrics.maximum_error for row in (plain, wired)}
     # held inputs lose h/2 sin t, and the rate, which is a sine too, adds h/2 (1 - cos t); the rest is h^2
     assert lost["jacobi plain"] == pytest.approx(0.5e-2 * np.sin(1), rel=2e-2)
@@ -258,8 +253,8 @@ def test_every_setting_has_a_name_of_its_own():
 
 def test_figures_label_every_curve(moving):
     """Each stable setting is in a label, also if several share a curve; unstable runs have a cross."""
-    solution = finest_run(moving, ["b.x", "b.v"], (5e-2,), options=SECOND)
-    rows = run_settings(moving, solution, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, options=SECOND)
+    solution = finest_run(moving, ["b.x", "b.v"], (5e-2,), stop=1.0)
+    rows = run_settings(moving, solution, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, stop=1.0)
     found = ConvergenceStudy(solution, tuple(rows))
     for over_cost in (False, True):
         for panel in figure(found, over_cost=over_cost).panels:
@@ -275,11 +270,11 @@ def test_runs_on_a_cluster_have_the_same_errors_and_no_times(moving, truth):
     from distributed import Client
 
     chosen = choose(["jacobi order 1", "hermite", "interface-jacobian"])
-    here = run_settings(moving, truth, chosen, (5e-3, 1e-2), 1, options=SECOND)
+    here = run_settings(moving, truth, chosen, (5e-3, 1e-2), 1, stop=1.0)
     with Client(
         processes=False, n_workers=1, threads_per_worker=2, dashboard_address="127.0.0.1:0"
     ) as client:
-        there = run_settings(moving, truth, chosen, (5e-3, 1e-2), client=client, options=SECOND)
+        there = run_settings(moving, truth, chosen, (5e-3, 1e-2), client=client, stop=1.0)
     for one, other in zip(here, there, strict=True):
         plain = [replace(run, walls=(), errors=None) for run in (one, other)]
         assert plain[0] == plain[1]

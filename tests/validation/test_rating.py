@@ -53,7 +53,7 @@ class Fake:
 def fake(monkeypatch: pytest.MonkeyPatch) -> type[Fake]:
     """The package gives these ratings."""
     module = ModuleType(f"{PACKAGE}.rating")
-    module.ISO18571 = Fake  # type: ignore[attr-defined]
+    vars(module)["ISO18571"] = Fake
     monkeypatch.setitem(sys.modules, PACKAGE, ModuleType(PACKAGE))
     monkeypatch.setitem(sys.modules, f"{PACKAGE}.rating", module)
     monkeypatch.setattr(Fake, "rating", FOUND)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
 from orchestrator.base.files import Location, make_folder, require_system
-from orchestrator.base.options import chosen, seconds
+from orchestrator.base.options import chosen, given, seconds
 from orchestrator.base.progress import doing
 from orchestrator.base.signals import matching, span
 from orchestrator.base.text import grouped
@@ -180,14 +180,15 @@ def finest_run(
     patterns: Sequence[str],
     steps: Sequence[float],
     scenario: ScenarioSource = None,
-    options: CaseOptions | None = None,
+    **options: Unpack[CaseArguments],
 ) -> Recording:
     """The solution if there is no recording: the outputs of `hermite` with half the smallest step."""
     outputs = [str(port) for port in system.ports("output") if system.variable(port).is_real]
     for pattern in patterns:
         _matching(pattern, outputs)
     step = min(steps) / 2
-    asked = same(RunOptions, options or CaseOptions(), coupling=FINEST, step=step, record=tuple(outputs))
+    case = chosen(CaseOptions, options, "finest_run")
+    asked = replace(same(RunOptions, case), coupling=FINEST, step=step, record=tuple(outputs))
     result = co_simulate(Request.of(system, scenario, asked))
     return run_as_reference(f"hermite at {milliseconds(step)}", result.trace, patterns, DEFAULT_QUANTITIES)
 
@@ -404,7 +405,7 @@ def run_settings(
     scenario: ScenarioSource = None,
     done: list[SettingRun] | None = None,
     client: Client | None = None,
-    options: CaseOptions | None = None,
+    **options: Unpack[CaseArguments],
 ) -> list[SettingRun]:
     """Run every setting at every step, one after the other, so that their times can be compared.
 
@@ -416,20 +417,20 @@ def run_settings(
 
     A plain setting without such inputs would equal that of order 0, and is left out.
     """
-    options = options or CaseOptions()
-    start = (system.start or 0.0) if options.start is None else options.start
-    _check(reference, system, start, options.stop, steps)
+    case = chosen(CaseOptions, options, "run_settings")
+    start = (system.start or 0.0) if case.start is None else case.start
+    _check(reference, system, start, case.stop, steps)
     rates = rate_inputs(system) if rates is None else tuple(rates)
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference]
-    given = same(RunOptions, options, record=tuple(dict.fromkeys(ports)))
+    asked = replace(same(RunOptions, case), record=tuple(dict.fromkeys(ports)))
     done, scenario = [] if done is None else done, read_scenario(scenario)
-    chosen = [setting for setting in settings if rates or not setting.without_rates]
-    plans = [SettingRun(s, step) for s in chosen for step in sorted(steps)[: 1 if s.adaptive else None]]
+    able_to = [setting for setting in settings if rates or not setting.without_rates]
+    plans = [SettingRun(s, step) for s in able_to for step in sorted(steps)[: 1 if s.adaptive else None]]
 
     def job(plan: SettingRun) -> Job:
         setting, step = plan.setting, plan.step
         record_step = _adaptive_record_step(reference, start) if setting.adaptive else step
-        own = replace(given, coupling=setting.coupling, step=step, record_step=record_step)
+        own = replace(asked, coupling=setting.coupling, step=step, record_step=record_step)
         return Job.of(system.without(*rates) if setting.without_rates else system, scenario, own)
 
     with doing("the first run") as line:
@@ -487,13 +488,13 @@ def convergence(
     if repeats < 1:
         raise Problem(f"repeats: expected at least 1, got {repeats}")
     settings = choose(masters)
-    given = chosen(CaseOptions, options, "convergence")
-    other_run = any(getattr(given, name) for name in OTHER_RUN) or scenario is not None
-    coupled = configured(require_system(system), cut=given.cut, swap=given.swap)
+    case = chosen(CaseOptions, options, "convergence")
+    other_run = any(getattr(case, name) for name in OTHER_RUN) or scenario is not None
+    coupled = configured(require_system(system), cut=case.cut, swap=case.swap)
     if not coupled.connections:
         raise Problem(f"{system}: expected connected FMUs, got no connection: there is nothing to couple")
     make_folder(out)
-    given = replace(given, cut=(), swap={})
+    case = replace(case, cut=(), swap={})
     if reference is None and default_reference and not other_run:
         names = as_reference(read_recording(default_reference))
         reference = default_reference if set(names) <= set(coupled.names()) else None
@@ -501,13 +502,15 @@ def convergence(
         recording = read_recording(reference)
         solution, note = as_reference(recording, signals), another_model(coupled, recording)
     else:
-        solution = finest_run(coupled, signals, steps, scenario, given)
+        solution = finest_run(coupled, signals, steps, scenario, **given(case))
         note = f"no reference for this run: {solution.heading}, half the smallest step, is used instead"
     rates, runs = rate_inputs(coupled), list[SettingRun]()
     plain = rates and any(setting.without_rates for setting in settings)
     plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}" if plain else ""
     try:
-        run_settings(coupled, solution, settings, steps, repeats, rates, scenario, runs, client, given)
+        run_settings(
+            coupled, solution, settings, steps, repeats, rates, scenario, runs, client, **given(case)
+        )
     finally:
         resting = f"{RESTING}: {solution.metadata[RESTING]}" if RESTING in solution.metadata else ""
         study = ConvergenceStudy(solution, tuple(runs), tuple(filter(None, (note, resting, plain_note))))
