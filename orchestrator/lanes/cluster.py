@@ -320,6 +320,13 @@ class Workers:
         if wrong:
             connection.retire_workers(workers=wrong)
 
+    def leave(self, running: Sequence[Any]) -> None:
+        """End the runs on all workers, also those of these futures."""
+        if self._connection.status == "running":
+            with suppress(Exception):  # the cluster may be gone
+                self._connection.cancel(running, force=True)
+                self._connection.run(leave, self.name, on_error="ignore")
+
     def _refuse(self, address: str, expected: str, found: str, wrong: list[str]) -> None:
         line = f"worker {address}: expected {expected}, found {found}"
         if not self._entered:
@@ -346,8 +353,15 @@ def compiles(connection: Client) -> bool:
 def _connected() -> Iterator[None]:
     try:
         yield
-    except CONNECTION_ERRORS:
-        raise ClusterLost("the connection to the Dask scheduler is lost") from None
+    except CONNECTION_ERRORS as error:
+        raise _problem(error) from None
+
+
+def _problem(error: object) -> Problem:
+    """What an error of a call to the scheduler, or of a future, is for the user."""
+    if isinstance(error, CONNECTION_ERRORS):
+        return ClusterLost("the connection to the Dask scheduler is lost")
+    return Problem(f"Dask: {_line(error)}")
 
 
 def many(
@@ -398,12 +412,7 @@ def many(
                         reason = f"the Dask worker died {error.allowed_failures + 1} times"
                         found.append(runs.lost(batch[0], reason))
                     else:
-                        with _connected():
-                            raise (
-                                error
-                                if isinstance(error, CONNECTION_ERRORS)
-                                else Problem(f"Dask: {_line(error)}")
-                            )
+                        raise _problem(error)
                 if found and time.monotonic() - kept >= interval:
                     new, found, kept = found, [], time.monotonic()
                     keep(new)
@@ -413,7 +422,4 @@ def many(
         finally:
             if found:
                 keep(found)
-            if connection.status == "running":
-                with suppress(Exception):  # the cluster may be gone
-                    connection.cancel([*running], force=True)
-                    connection.run(leave, workers.name, on_error="ignore")
+            workers.leave([*running])

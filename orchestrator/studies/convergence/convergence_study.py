@@ -428,10 +428,9 @@ def run_settings(
     plans = [SettingRun(s, step) for s in able_to for step in sorted(steps)[: 1 if s.adaptive else None]]
 
     def job(plan: SettingRun) -> Job:
-        setting, step = plan.setting, plan.step
-        record_step = _adaptive_record_step(reference, start) if setting.adaptive else step
-        own = replace(asked, coupling=setting.coupling, step=step, record_step=record_step)
-        return Job.of(system.without(*rates) if setting.without_rates else system, scenario, own)
+        record_step = _adaptive_record_step(reference, start) if plan.setting.adaptive else plan.step
+        own = replace(asked, coupling=plan.setting.coupling, step=plan.step, record_step=record_step)
+        return Job.of(system.without(*rates) if plan.setting.without_rates else system, scenario, own)
 
     with doing("the first run") as line:
         jobs, able = list[Job](), list[SettingRun]()
